@@ -1,0 +1,33 @@
+//! Lookalike: levels of detail that look alike.
+//!
+//! # Layout
+//!
+//! Two pillars that meet only in [`worker`]. Geometry, which is pure (no async, clock,
+//! environment or network):
+//!
+//! - [`mesh`]: triangles, wedges, local edits that return their undo
+//! - [`io`]: files in, files out
+//! - [`progressive`]: the record of every edit, and any level extracted from it
+//! - [`memoryless`]: geometric simplification (Lindstrom & Turk 1998)
+//! - [`render`]: views, rasters and the move evaluator, in WGSL and in Rust
+//! - [`metric`]: image differences and surface distance
+//! - [`simplify`]: image-driven simplification (Lindstrom & Turk 2000)
+//! - [`compare`]: off-line evaluation, pictures and plots
+//!
+//! And jobs, which know nothing of geometry: [`jobs`] (specification, states, leases, events,
+//! stores) and [`service`] (gRPC adapters).
+//!
+//! `tests/layers.rs` holds the table of who may import whom.
+
+pub mod compare;
+pub mod io;
+pub mod jobs;
+pub mod memoryless;
+pub mod mesh;
+pub mod metric;
+pub mod progressive;
+pub mod render;
+pub mod service;
+pub mod simplify;
+pub mod telemetry;
+pub mod worker;

@@ -1,0 +1,2 @@
+//! The `lookalike` binary: reads the command line and runs one role.
+fn main() {}

@@ -1,0 +1,167 @@
+//! Indexed triangle mesh with wedge attributes: what files are read into and written from.
+//!
+//! A *vertex* is a position in space. A *wedge* is one attribute vector (normal, texture
+//! coordinates, colour, …) attached to a vertex; corners of faces that share both vertex and
+//! attributes share the wedge (Hoppe 1996). A mesh without attribute layers has no wedges.
+//!
+//! Invariants of a [`Mesh`]:
+//! 1. every index in `faces` is below `positions.len()`, all positions are finite;
+//! 2. the three vertices of a face are distinct;
+//! 3. `face_wedges` is empty when `layers` is empty, else as long as `faces`, and every index
+//!    is below `n_wedges()`;
+//! 4. every layer holds `n_wedges() * width` values;
+//! 5. `face_materials` is empty (all faces use material 0) or as long as `faces`.
+
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+
+/// Index of a vertex. Ids are stable: an edit never renumbers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct VertexId(pub u32);
+
+/// Index of a triangle. Ids are stable: an edit never renumbers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct FaceId(pub u32);
+
+/// Index of a wedge (an attribute vector that belongs to one vertex).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct WedgeId(pub u32);
+
+/// Index of an undirected edge in an edge table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct EdgeId(pub u32);
+
+/// One corner of one triangle: `3 * face + k`, k in 0..3.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct Corner(pub u32);
+
+impl VertexId {
+    /// As an index into per-vertex arrays.
+    pub fn index(self) -> usize {
+        self.0 as usize
+    }
+}
+impl FaceId {
+    /// As an index into per-face arrays.
+    pub fn index(self) -> usize {
+        self.0 as usize
+    }
+}
+impl WedgeId {
+    /// As an index into per-wedge arrays.
+    pub fn index(self) -> usize {
+        self.0 as usize
+    }
+}
+impl EdgeId {
+    /// As an index into per-edge arrays.
+    pub fn index(self) -> usize {
+        self.0 as usize
+    }
+}
+impl Corner {
+    /// The corner `k` (0..3) of `face`.
+    pub fn new(face: FaceId, k: usize) -> Self {
+        Self(face.0 * 3 + k as u32)
+    }
+    /// The triangle it belongs to.
+    pub fn face(self) -> FaceId {
+        FaceId(self.0 / 3)
+    }
+    /// Which of the triangle's three corners it is.
+    pub fn k(self) -> usize {
+        (self.0 % 3) as usize
+    }
+}
+
+/// What an attribute layer means, as glTF names it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum Semantic {
+    /// Unit normal, 3 values.
+    Normal,
+    /// Tangent with handedness, 4 values.
+    Tangent,
+    /// Texture coordinates of the given set, 2 values.
+    TexCoord(u32),
+    /// Linear colour of the given set, 4 values (RGBA).
+    Color(u32),
+    /// An application-specific scalar or vector, kept and interpolated.
+    Custom(u32),
+}
+
+/// One attribute of every wedge, `width` values each, wedge after wedge.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AttributeLayer {
+    /// What the values mean.
+    pub semantic: Semantic,
+    /// Values per wedge.
+    pub width: usize,
+    /// `n_wedges * width` values.
+    pub values: Vec<f32>,
+}
+
+impl AttributeLayer {
+    /// The `width` values of one wedge.
+    pub fn get(&self, wedge: WedgeId) -> &[f32] {
+        let at = wedge.index() * self.width;
+        &self.values[at..at + self.width]
+    }
+}
+
+/// Surface appearance of a set of faces.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Material {
+    /// Name in the source file, may be empty.
+    pub name: String,
+    /// Linear RGBA factor.
+    pub base_color: [f32; 4],
+    /// Whether back faces are drawn.
+    pub double_sided: bool,
+    /// Drawn without lighting.
+    pub unlit: bool,
+}
+
+impl Default for Material {
+    fn default() -> Self {
+        Self { name: String::new(), base_color: [1.0; 4], double_sided: true, unlit: false }
+    }
+}
+
+/// Indexed triangle mesh with wedge attributes. See the module's invariants.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Mesh {
+    /// Vertex positions, model space.
+    pub positions: Vec<DVec3>,
+    /// Vertex indices of each triangle, counter-clockwise seen from outside.
+    pub faces: Vec<[u32; 3]>,
+    /// Wedge indices of each triangle's corners; empty when there are no layers.
+    pub face_wedges: Vec<[u32; 3]>,
+    /// Material of each triangle; empty when all use material 0.
+    pub face_materials: Vec<u32>,
+    /// Attribute layers, all of the same number of wedges.
+    pub layers: Vec<AttributeLayer>,
+    /// Materials; may be empty (then faces are drawn white).
+    pub materials: Vec<Material>,
+}
+
+impl Mesh {
+    /// A mesh of positions and triangles alone.
+    pub fn from_parts(positions: Vec<DVec3>, faces: Vec<[u32; 3]>) -> Self {
+        Self { positions, faces, ..Self::default() }
+    }
+
+    /// Number of wedges (0 without attribute layers).
+    pub fn n_wedges(&self) -> usize {
+        self.layers.first().map_or(0, |l| l.values.len() / l.width.max(1))
+    }
+
+    /// Material index of a face.
+    pub fn material_of(&self, face: FaceId) -> u32 {
+        self.face_materials.get(face.index()).copied().unwrap_or(0)
+    }
+
+    /// The layer of the given meaning, if the mesh has it.
+    pub fn layer(&self, semantic: Semantic) -> Option<&AttributeLayer> {
+        self.layers.iter().find(|l| l.semantic == semantic)
+    }
+}
