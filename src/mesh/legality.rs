@@ -102,14 +102,13 @@ impl EditMesh {
         apexes.sort_unstable();
         apexes.dedup();
         let rings = [self.ring(a), self.ring(b)];
-        let is_border = |ring: &[(VertexId, u32)]| ring.iter().any(|&(_, n)| n != 2);
-        let n_common = n_common(&rings[0], &rings[1]);
+        let n_common = n_common(&rings[0].vertices, &rings[1].vertices);
         Facts {
             n_faces: faces.len(),
             n_apexes: apexes.len(),
             n_common,
-            n_border_ends: rings.iter().filter(|ring| is_border(ring)).count(),
-            n_vertices: rings[0].len() + rings[1].len() - n_common,
+            n_border_ends: rings.iter().filter(|ring| ring.is_border).count(),
+            n_vertices: rings[0].vertices.len() + rings[1].vertices.len() - n_common,
             apexes_joined_twice: match apexes[..] {
                 [c, d] => [a, b].iter().all(|&end| self.has_face(end, c, d)),
                 _ => false,
@@ -127,9 +126,9 @@ impl EditMesh {
 }
 
 /// Vertices that two ascending rings share.
-fn n_common(a: &[(VertexId, u32)], b: &[(VertexId, u32)]) -> usize {
+fn n_common(a: &[VertexId], b: &[VertexId]) -> usize {
     let (mut i, mut j, mut n) = (0, 0, 0);
-    while let (Some(&(x, _)), Some(&(y, _))) = (a.get(i), b.get(j)) {
+    while let (Some(x), Some(y)) = (a.get(i), b.get(j)) {
         n += usize::from(x == y);
         i += usize::from(x <= y);
         j += usize::from(y <= x);
