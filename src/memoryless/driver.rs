@@ -9,8 +9,8 @@ use std::ops::ControlFlow;
 
 use glam::DVec3;
 
-use super::params::Params;
 use super::gather::Fan;
+use super::params::Params;
 use super::placement::{Placement, Scratch, placement_between, turns_too_far};
 use super::queue::{Entry, Queue};
 use crate::mesh::{Collapse, EdgeId, EdgeTable, EditMesh, Sample, Stage, Step, VertexId};
@@ -222,19 +222,19 @@ impl<'a> Run<'a> {
     /// Marks U(v) as changed and returns its edges that were set aside to the queue.
     fn bring_back(&mut self, v: VertexId) {
         self.touch(v);
+        // Around a closed fan every neighbour follows v in one triangle.
+        let is_closed = self.mesh.is_closed_fan(v);
         for i in 0..self.mesh.faces_around(v).len() {
-            let face = self.mesh.faces_around(v)[i];
-            for vertex in self.mesh.vertices_of(face) {
-                self.touch(vertex);
+            let [next, last] = self.mesh.turned_to(self.mesh.faces_around(v)[i], v);
+            self.touch(next);
+            if !is_closed {
+                self.touch(last);
             }
         }
     }
 
     fn touch(&mut self, vertex: VertexId) {
         let state = &mut self.vertices[vertex.index()];
-        if state.changed_at == self.now {
-            return;
-        }
         state.changed_at = self.now;
         state.is_summed = false;
         if std::mem::take(&mut state.has_aside) {

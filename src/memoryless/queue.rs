@@ -35,7 +35,7 @@ impl Entry {
 }
 
 /// The part of the far entries that comes near at a time, and the fewest that do.
-const NEAR_SHARE: usize = 8;
+const NEAR_SHARE: usize = 4;
 const MIN_NEAR: usize = 2048;
 
 /// Entries, cheapest first.

@@ -39,10 +39,9 @@ impl EdgeTable {
     /// The edges of a mesh. O(triangles).
     pub fn new(mesh: &EditMesh) -> Self {
         let mut ends = Vec::with_capacity(mesh.n_faces() * 3 / 2);
-        let mut upper = Vec::new();
         for v in (0..mesh.n_vertex_slots() as u32).map(VertexId) {
-            mesh.neighbours(v, &mut upper);
-            ends.extend(upper.iter().filter(|&&w| w > v).map(|&w| [v, w]));
+            let upper = mesh.neighbours_if(v, |w| w > v);
+            ends.extend(upper.into_iter().map(|w| [v, w]));
         }
         ends.shrink_to_fit();
         let mut around = Lists::new(std::iter::repeat_n((), mesh.n_vertex_slots()));
@@ -118,8 +117,11 @@ impl EdgeTable {
             }
         }
         self.drop_bare_edges(mesh, collapse, &mut at_keep, &mut change);
-        let mut joined: SmallVec<[EdgeId; 24]> = at_keep.iter().map(|spoke| spoke.0).collect();
-        joined.sort_unstable();
+        at_keep.sort_unstable();
+        let mut joined: SmallVec<[EdgeId; 24]> = SmallVec::new();
+        for &(edge, _) in &at_keep {
+            joined.push(edge);
+        }
         self.around.set(keep.index(), &joined);
         self.around.clear(drop.index());
         change
@@ -127,8 +129,14 @@ impl EdgeTable {
 
     /// The edges at `vertex`, but not the one to `other`.
     fn spokes(&self, vertex: VertexId, other: VertexId) -> Spokes {
-        let spoke = |&edge: &EdgeId| (edge, self.other_end(edge, vertex));
-        self.edges_around(vertex).iter().map(spoke).filter(|&(_, far)| far != other).collect()
+        let mut spokes = Spokes::new();
+        for &edge in self.edges_around(vertex) {
+            let far = self.other_end(edge, vertex);
+            if far != other {
+                spokes.push((edge, far));
+            }
+        }
+        spokes
     }
 
     /// Edges between `keep` and the third vertex of a removed triangle may have lost their last.

@@ -20,7 +20,7 @@ use glam::DVec3;
 use smallvec::SmallVec;
 
 use super::error::{MeshError, Violation};
-use super::lists::Lists;
+use super::lists::{CacheLine, Lists};
 use super::model::{Corner, FaceId, Mesh, VertexId, WedgeId};
 
 /// A mesh with connectivity for local edits.
@@ -29,7 +29,7 @@ pub struct EditMesh {
     pub(super) mesh: Mesh,
     pub(super) alive: Vec<bool>,
     /// The list of triangles around each vertex, with its site beside it.
-    pub(super) around: Lists<FaceId, Site>,
+    pub(super) around: Lists<FaceId, Site, CacheLine>,
     pub(super) normals: Vec<DVec3>,
     pub(super) n_faces: usize,
     pub(super) n_vertices: usize,
@@ -45,7 +45,6 @@ pub(super) struct Ring {
 
 /// What an edit reads of a vertex besides its triangles; with them exactly one cache line.
 #[derive(Clone, Copy, Debug)]
-#[repr(align(64))]
 pub(super) struct Site {
     /// A copy of the vertex's entry in `mesh.positions`.
     position: DVec3,
@@ -159,16 +158,7 @@ impl EditMesh {
     /// The vertices that share a living triangle with `vertex`, ascending, into `out`.
     pub fn neighbours(&self, vertex: VertexId, out: &mut Vec<VertexId>) {
         out.clear();
-        let is_closed = self.is_closed_fan(vertex);
-        for &face in self.faces_around(vertex) {
-            let [next, last] = self.turned_to(face, vertex);
-            out.push(next);
-            if !is_closed {
-                out.push(last);
-            }
-        }
-        out.sort_unstable();
-        out.dedup();
+        out.extend(self.neighbours_if(vertex, |_| true));
     }
 
     /// Whether the edge has exactly one triangle.
@@ -191,36 +181,58 @@ impl EditMesh {
         self.around.companion(vertex.index()).balance == 0
     }
 
+    /// The neighbours of a vertex that pass a test, ascending.
+    pub(super) fn neighbours_if(
+        &self,
+        vertex: VertexId,
+        test: impl Fn(VertexId) -> bool,
+    ) -> SmallVec<[VertexId; 24]> {
+        let mut found = self.spokes_if(vertex, test);
+        found.dedup();
+        found
+    }
+
     /// The neighbours of a vertex and whether it lies on a border.
     pub(super) fn ring(&self, vertex: VertexId) -> Ring {
-        let mut vertices: SmallVec<[VertexId; 24]> = SmallVec::new();
-        // In a closed fan every neighbour is met as often in the one direction as in the other.
-        let is_closed = self.is_closed_fan(vertex);
-        for &face in self.faces_around(vertex) {
-            let [next, last] = self.turned_to(face, vertex);
-            vertices.push(next);
-            if !is_closed {
-                vertices.push(last);
-            }
-        }
-        vertices.sort_unstable();
-        let n_times = if is_closed { 1 } else { 2 };
+        let mut vertices = self.spokes_if(vertex, |_| true);
+        let n_times = if self.is_closed_fan(vertex) { 1 } else { 2 };
         let is_border = vertices.chunk_by(|a, b| a == b).any(|same| same.len() != n_times);
         vertices.dedup();
         Ring { vertices, is_border }
+    }
+
+    /// The other ends of the triangles' sides at a vertex that pass a test, ascending: in a
+    /// closed fan, where each comes up once in either direction, of one direction only.
+    #[inline]
+    fn spokes_if(
+        &self,
+        vertex: VertexId,
+        test: impl Fn(VertexId) -> bool,
+    ) -> SmallVec<[VertexId; 24]> {
+        let mut found = SmallVec::new();
+        let is_closed = self.is_closed_fan(vertex);
+        for &face in self.faces_around(vertex) {
+            let [next, last] = self.turned_to(face, vertex);
+            if test(next) {
+                found.push(next);
+            }
+            if !is_closed && test(last) {
+                found.push(last);
+            }
+        }
+        found.sort_unstable();
+        found
     }
 
     /// The other two vertices of a triangle in its direction, from `vertex` on.
     #[inline]
     pub fn turned_to(&self, face: FaceId, vertex: VertexId) -> [VertexId; 2] {
         let [p, q, r] = self.vertices_of(face);
-        if p == vertex {
-            [q, r]
-        } else if q == vertex {
-            [r, p]
-        } else {
-            [p, q]
-        }
+        // Two selections instead of one branch that nothing could predict.
+        let (is_p, is_q) = (p == vertex, q == vertex);
+        let next = if is_q { r } else { p };
+        let last = if is_q { p } else { q };
+        [if is_p { q } else { next }, if is_p { r } else { last }]
     }
 
     /// Moves a vertex; returns where it was, which is all an undo needs.
@@ -326,8 +338,7 @@ impl EditMesh {
         count("alive flags", self.n_face_slots(), self.alive.len())?;
         count("area normals", self.n_face_slots(), self.normals.len())?;
         let bits = |n: DVec3| n.to_array().map(f64::to_bits);
-        let is_stale =
-            |&f: &FaceId| bits(fresh.area_normal(f)) != bits(self.area_normal(f));
+        let is_stale = |&f: &FaceId| bits(fresh.area_normal(f)) != bits(self.area_normal(f));
         if let Some(face) = self.faces().find(is_stale) {
             return Err(Violation::Normal { face: face.index() });
         }

@@ -45,16 +45,22 @@ impl Id for EdgeId {
     }
 }
 
+/// Aligns a row that is as large as a cache line to one.
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(align(64))]
+pub(super) struct CacheLine;
+
 #[derive(Clone, Copy, Debug)]
-struct Row<T, C> {
+struct Row<T, C, A> {
     companion: C,
     len: u32,
     inline: [T; N_INLINE],
+    _alignment: A,
 }
 
-impl<T: Id, C> Row<T, C> {
+impl<T: Id, C, A: Default> Row<T, C, A> {
     fn new(companion: C) -> Self {
-        Self { companion, len: 0, inline: [T::from_raw(0); N_INLINE] }
+        Self { companion, len: 0, inline: [T::from_raw(0); N_INLINE], _alignment: A::default() }
     }
 
     #[inline]
@@ -68,15 +74,15 @@ impl<T: Id, C> Row<T, C> {
     }
 }
 
-/// Ascending lists of `T`, addressed by number, each with a companion `C`.
+/// Ascending lists of `T`, addressed by number, each with a companion `C`, in rows aligned as `A`.
 #[derive(Clone, Debug)]
-pub(super) struct Lists<T, C = ()> {
-    rows: Vec<Row<T, C>>,
+pub(super) struct Lists<T, C = (), A = ()> {
+    rows: Vec<Row<T, C, A>>,
     pool: Vec<T>,
     live: usize,
 }
 
-impl<T: Id, C> Lists<T, C> {
+impl<T: Id, C, A: Default> Lists<T, C, A> {
     /// An empty list for each companion.
     pub(super) fn new(companions: impl Iterator<Item = C>) -> Self {
         Self { rows: companions.map(Row::new).collect(), pool: Vec::new(), live: 0 }
