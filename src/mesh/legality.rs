@@ -180,7 +180,7 @@ impl SmallFan {
     /// Whether a vertex is a neighbour. All places are compared, without branches.
     #[inline]
     fn has(&self, vertex: u32) -> bool {
-        self.next.iter().fold(false, |found, &v| found | (v == vertex))
+        self.next.iter().filter(|&&v| v == vertex).count() > 0
     }
 
     /// The vertex that `vertex` precedes in its triangle.
