@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::{
     evaluator::Reference,
-    lattice::{DEPTH_BITS, LUM_BITS},
+    lattice::{DEPTH_BITS, LUM_BITS, Setup},
     scene::Scene,
 };
 
@@ -53,19 +53,24 @@ pub fn for_each_fragment(scene: &Scene, view: usize, on: &mut impl FnMut(usize, 
         }
         let lum = scene.face_luminance(view, face);
         let Some(s) = lattice.setup(points, lum, cull) else { continue };
-        for j in s.rect.y0..=s.rect.y1 {
-            for i in s.rect.x0..=s.rect.x1 {
-                if s.covers(i, j) {
-                    let fragment = Fragment {
-                        z: s.depth.at(i, j, DEPTH_BITS) as u16,
-                        lum: s.lum.at(i, j, LUM_BITS) as u8,
-                        face: id as u32,
-                    };
-                    on((j * lattice.size + i) as usize, fragment);
-                }
+        for_each_pixel(&s, |i, j| on((j * lattice.size + i) as usize, fragment(&s, id as u32, i, j)));
+    }
+}
+
+/// Calls `on(i, j)` for every pixel that a triangle covers, row by row.
+pub fn for_each_pixel(s: &Setup, mut on: impl FnMut(i32, i32)) {
+    for j in s.rect.y0..=s.rect.y1 {
+        for i in s.rect.x0..=s.rect.x1 {
+            if s.covers(i, j) {
+                on(i, j);
             }
         }
     }
+}
+
+/// What a triangle leaves in a pixel that it covers.
+pub fn fragment(s: &Setup, face: u32, i: i32, j: i32) -> Fragment {
+    Fragment { z: s.depth.at(i, j, DEPTH_BITS) as u16, lum: s.lum.at(i, j, LUM_BITS) as u8, face }
 }
 
 /// Sum over all pictures of the squared difference to the reference.

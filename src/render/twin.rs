@@ -3,16 +3,17 @@
 //! One move in one view: bound the pixels it can touch; if everything there is nearer than the
 //! move, stop (true of half the views: the surface's far side); raster the added triangles into a
 //! small buffer, eight pixels at a time; then compare, pixel by pixel, the nearest fragment that
-//! stays with the nearest that comes.
+//! stays with the nearest that comes. A batch goes view by view, so that one view's fronts stay in
+//! cache while every move is judged in it.
 
 use rayon::prelude::*;
 
 use super::{
     evaluator::{Evaluator, Reference, RenderError},
-    fragments::{FragmentLists, TILE},
-    lattice::{DEPTH_BITS, LUM_BITS, PixelRect, Setup},
+    fragments::{Cell, FragmentLists, TILE},
+    lattice::{LUM_BITS, PixelRect, Setup},
     moves::{Move, Projected},
-    raster::{self, Fragment},
+    raster,
     scene::Scene,
     simd,
 };
@@ -23,7 +24,8 @@ pub struct Twin {
     reference: Reference,
     energy: u64,
     n_face_slots: usize,
-    size: i32,
+    /// Moves of the last batch in every picture; kept for its memory.
+    projected: Vec<Projected>,
 }
 
 impl Twin {
@@ -33,7 +35,8 @@ impl Twin {
             (0..scene.n_views()).into_par_iter().map(|v| build_lists(scene, v)).collect();
         let pictures: Vec<_> = views.iter().map(FragmentLists::picture).collect();
         let energy = raster::energy(&reference, &pictures);
-        Self { views, reference, energy, n_face_slots: scene.faces.len(), size: scene.lattice.size }
+        let n_face_slots = scene.faces.len();
+        Self { views, reference, energy, n_face_slots, projected: Vec::new() }
     }
 }
 
@@ -54,17 +57,24 @@ impl Evaluator for Twin {
     }
 
     fn evaluate(&mut self, scene: &Scene, moves: &[Move]) -> Result<Vec<i64>, RenderError> {
-        let slots = self.n_face_slots;
-        let this = &*self;
-        if moves.len() < 3 {
-            let mut scratch = Scratch::new(slots);
-            return Ok(moves.iter().map(|mv| this.delta(scene, mv, &mut scratch)).collect());
-        }
-        Ok(moves
+        self.projected.resize_with(moves.len().max(self.projected.len()), Projected::default);
+        let projected = &mut self.projected[..moves.len()];
+        projected.par_iter_mut().zip(moves).with_min_len(8).for_each(|(p, mv)| p.fill(scene, mv));
+        let (views, projected) = (&self.views, &self.projected);
+        let (reference, slots) = (&self.reference, self.n_face_slots);
+        let by_view: Vec<Vec<i64>> = views
             .par_iter()
-            .with_min_len(2)
-            .map_init(|| Scratch::new(slots), |scratch, mv| this.delta(scene, mv, scratch))
-            .collect())
+            .enumerate()
+            .map_init(
+                || Scratch::new(slots),
+                |scratch, (view, lists)| {
+                    let picture = &reference.pictures[view];
+                    let mut judge = Judge { scene, view, lists, picture, scratch };
+                    moves.iter().zip(projected).map(|(mv, p)| judge.delta(mv, p)).collect()
+                },
+            )
+            .collect();
+        Ok((0..moves.len()).map(|m| by_view.iter().map(|v| v[m]).sum()).collect())
     }
 
     fn commit(&mut self, scene: &mut Scene, mv: &Move) -> Result<i64, RenderError> {
@@ -73,11 +83,11 @@ impl Evaluator for Twin {
             scene.faces.resize(added_slots, None);
         }
         self.n_face_slots = scene.faces.len();
-        let mut scratch = Scratch::new(self.n_face_slots);
-        let delta = self.delta(scene, mv, &mut scratch);
-        let projected = &scratch.projected;
-        self.views.par_iter_mut().enumerate().for_each(|(view, lists)| {
-            update_view(scene, mv, projected, view, lists);
+        let delta = self.evaluate(scene, std::slice::from_ref(mv))?[0];
+        let projected = &self.projected[0];
+        let shown = &*scene;
+        self.views.par_iter_mut().enumerate().with_min_len(5).for_each(|(view, lists)| {
+            update_view(shown, mv, projected, view, lists);
         });
         self.energy = self.energy.saturating_add_signed(delta);
         scene.apply(mv);
@@ -105,24 +115,22 @@ fn update_view(
     if rect.is_empty() {
         return;
     }
-    let size = scene.lattice.size;
-    for j in rect.y0..=rect.y1 {
-        for i in rect.x0..=rect.x1 {
-            lists.retain((j * size + i) as usize, |f| !mv.removed.contains(&f));
+    let (size, cull) = (scene.lattice.size, scene.culls_front(view));
+    for &id in &mv.removed {
+        let Some(face) = &scene.faces[id as usize] else { continue };
+        let points = face.vertices.map(|v| scene.screen_points(v)[view]);
+        // Where it was drawn does not depend on its luminance.
+        if let Some(s) = scene.lattice.setup(points, [0; 3], cull) {
+            raster::for_each_pixel(&s, |i, j| lists.remove((j * size + i) as usize, id));
         }
     }
     for (k, added) in mv.added.iter().enumerate() {
         let points = projected.added_points(k, view);
         let lum = projected.added_luminance(scene, mv, k, view);
-        let Some(s) = scene.lattice.setup(points, lum, scene.culls_front(view)) else { continue };
-        for j in s.rect.y0..=s.rect.y1 {
-            for i in s.rect.x0..=s.rect.x1 {
-                if s.covers(i, j) {
-                    let z = s.depth.at(i, j, DEPTH_BITS) as u16;
-                    let lum = s.lum.at(i, j, LUM_BITS) as u8;
-                    lists.insert((j * size + i) as usize, Fragment { z, lum, face: added.face });
-                }
-            }
+        if let Some(s) = scene.lattice.setup(points, lum, cull) {
+            raster::for_each_pixel(&s, |i, j| {
+                lists.insert((j * size + i) as usize, raster::fragment(&s, added.face, i, j));
+            });
         }
     }
     lists.refresh_tiles((rect.x0, rect.x1), (rect.y0, rect.y1));
@@ -130,7 +138,6 @@ fn update_view(
 
 /// Working memory of one thread.
 struct Scratch {
-    projected: Projected,
     setups: Vec<(u32, Setup)>,
     /// `z << 16 | rank` of the nearest added fragment of each pixel of the rectangle.
     nearest: Vec<u32>,
@@ -141,78 +148,93 @@ struct Scratch {
 
 impl Scratch {
     fn new(n_face_slots: usize) -> Self {
-        Self {
-            projected: Projected::default(),
-            setups: Vec::new(),
-            nearest: Vec::new(),
-            marks: vec![0; n_face_slots],
-            serial: 0,
-        }
+        Self { setups: Vec::new(), nearest: Vec::new(), marks: vec![0; n_face_slots], serial: 0 }
     }
 }
 
-impl Twin {
-    /// The change of energy of one move, all views.
-    fn delta(&self, scene: &Scene, mv: &Move, scratch: &mut Scratch) -> i64 {
-        scratch.projected.fill(scene, mv);
+/// Judges moves in one view.
+struct Judge<'a> {
+    scene: &'a Scene,
+    view: usize,
+    lists: &'a FragmentLists,
+    picture: &'a [u8],
+    scratch: &'a mut Scratch,
+}
+
+impl Judge<'_> {
+    /// The change of energy of one move in this view.
+    fn delta(&mut self, mv: &Move, projected: &Projected) -> i64 {
+        let (scene, view) = (self.scene, self.view);
+        let (rect, nearest_z) = projected.extent(&scene.lattice, view);
+        if rect.is_empty() || is_hidden(self.lists, &rect, u32::from(nearest_z)) {
+            return 0;
+        }
+        let scratch = &mut *self.scratch;
         scratch.serial += 1;
         for f in &mv.removed {
             scratch.marks[*f as usize] = scratch.serial;
         }
-        (0..self.views.len()).map(|v| self.delta_in_view(scene, mv, v, scratch)).sum()
-    }
-
-    fn delta_in_view(&self, scene: &Scene, mv: &Move, view: usize, scratch: &mut Scratch) -> i64 {
-        let lists = &self.views[view];
-        let (rect, nearest_z) = scratch.projected.extent(&scene.lattice, view);
-        if rect.is_empty() || is_hidden(lists, &rect, u32::from(nearest_z)) {
-            return 0;
-        }
-        let cull = scene.culls_front(view);
         scratch.setups.clear();
         for (k, added) in mv.added.iter().enumerate() {
-            let points = scratch.projected.added_points(k, view);
-            let lum = scratch.projected.added_luminance(scene, mv, k, view);
-            if let Some(setup) = scene.lattice.setup(points, lum, cull) {
+            let points = projected.added_points(k, view);
+            let lum = projected.added_luminance(scene, mv, k, view);
+            if let Some(setup) = scene.lattice.setup(points, lum, scene.culls_front(view)) {
                 scratch.setups.push((added.face, setup));
             }
         }
         // Ranks follow ids, so that the lesser id wins a tie in depth.
         scratch.setups.sort_unstable_by_key(|s| s.0);
         let stride = simd::raster(&scratch.setups, &rect, &mut scratch.nearest);
-        self.resolve(view, &rect, stride, scratch)
+        self.resolve(&rect, stride)
     }
 
     /// Compares what stays with what comes, pixel by pixel.
-    fn resolve(&self, view: usize, rect: &PixelRect, stride: usize, scratch: &Scratch) -> i64 {
-        let lists = &self.views[view];
-        let picture = &self.reference.pictures[view];
-        let size = self.size;
-        let (marks, serial) = (&scratch.marks, scratch.serial);
-        let stays = |face: u32| marks.get(face as usize).is_none_or(|m| *m != serial);
+    fn resolve(&self, rect: &PixelRect, stride: usize) -> i64 {
+        let size = self.scene.lattice.size;
         let mut sum = 0_i64;
         for j in rect.y0..=rect.y1 {
-            let fronts = lists.row(j, rect.x0, rect.x1);
-            let reference = &picture[(j * size + rect.x0) as usize..=(j * size + rect.x1) as usize];
-            let coming = &scratch.nearest[(j - rect.y0) as usize * stride..][..fronts.len()];
+            let fronts = self.lists.row(j, rect.x0, rect.x1);
+            let first = (j * size + rect.x0) as usize;
+            let reference = &self.picture[first..first + fronts.len()];
+            let coming = &self.scratch.nearest[(j - rect.y0) as usize * stride..][..fronts.len()];
             for (i, ((front, &r), &key)) in fronts.iter().zip(reference).zip(coming).enumerate() {
-                let front_stays = stays(front.face);
-                if front_stays && key >> 16 > front.z() || front_stays && key == u32::MAX {
+                let stays = self.stays(front.face);
+                if stays && (key == u32::MAX || key >> 16 > front.z()) {
                     continue;
                 }
-                let stay = lists.nearest(*front, stays);
-                let mut lum = stay.lum();
-                if key != u32::MAX {
-                    let (face, setup) = &scratch.setups[(key & 0xffff) as usize];
-                    if (key >> 16, *face) < (stay.z(), stay.face) {
-                        lum = setup.lum.at(rect.x0 + i as i32, j, LUM_BITS) as u8;
-                    }
-                }
-                let square = |l: u8| i64::from((i32::from(l) - i32::from(r)).pow(2));
-                sum += square(lum) - square(front.lum());
+                let lum = self.new_luminance(front, stays, key, (rect.x0 + i as i32, j), first + i);
+                let square = |l: u8| (i32::from(l) - i32::from(r)).pow(2);
+                sum += i64::from(square(lum) - square(front.lum()));
             }
         }
         sum
+    }
+
+    /// The luminance of a pixel after the move.
+    #[inline(always)]
+    fn new_luminance(
+        &self,
+        front: &Cell,
+        stays: bool,
+        key: u32,
+        (i, j): (i32, i32),
+        pixel: usize,
+    ) -> u8 {
+        let stay =
+            if stays { *front } else { self.lists.nearest_behind(pixel, |f| self.stays(f)) };
+        if key != u32::MAX {
+            let (face, setup) = &self.scratch.setups[(key & 0xffff) as usize];
+            if (key >> 16, *face) < (stay.z(), stay.face) {
+                return setup.lum.at(i, j, LUM_BITS) as u8;
+            }
+        }
+        stay.lum()
+    }
+
+    /// Whether a triangle survives the move (the background does).
+    #[inline(always)]
+    fn stays(&self, face: u32) -> bool {
+        self.scratch.marks.get(face as usize).is_none_or(|m| *m != self.scratch.serial)
     }
 }
 

@@ -7,5 +7,5 @@ mod candidates;
 mod driver;
 mod queue;
 
-pub use candidates::Placements;
+pub use candidates::{Placements, Rules};
 pub use driver::{Outcome, Params, Policy, Simplifier, SimplifyError, StoppedBy};
