@@ -1,1 +1,11 @@
-//! compare
+//! Off-line evaluation: does the simplified mesh look like the original, by figures and pictures.
+//!
+//! Knows nothing of how a mesh was simplified, and nothing of files: meshes in, figures, PNG bytes
+//! and SVG text out.
+
+mod evaluate;
+pub mod raster;
+mod scan;
+
+pub use evaluate::{Comparison, Params, Reference, compare, report_text};
+pub use raster::{Appearance, Look, Shading};

@@ -5,10 +5,12 @@
 
 use crate::mesh::{AttributeLayer, Collapse, EditMesh, FaceId, Material, Mesh, Semantic};
 
-/// Rec. 709 luminance of linear RGB.
-pub fn luminance(rgb: &[f32]) -> f32 {
-    match rgb {
-        [r, g, b, ..] => 0.2126 * r + 0.7152 * g + 0.0722 * b,
+use super::image;
+
+/// Luminance of an RGB(A) vector; white when it is too short to be one.
+fn luminance(colour: &[f32]) -> f32 {
+    match colour {
+        [r, g, b, ..] => image::luminance([*r, *g, *b]),
         _ => 1.0,
     }
 }
