@@ -16,6 +16,7 @@
 //! `clients.rs`, `attempts.rs` and `follow.rs` hold what clients, workers and watchers ask for.
 
 pub mod blobs;
+pub mod clients;
 pub mod error;
 pub mod event;
 pub mod follow;
@@ -27,7 +28,6 @@ pub mod state;
 pub mod store;
 
 mod attempts;
-mod clients;
 
 use std::{
     fs::{self, File, TryLockError},
