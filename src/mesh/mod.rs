@@ -7,5 +7,7 @@ mod model;
 mod step;
 
 pub use edit::{Collapse, RemovedFace, Rewedged};
-pub use model::{AttributeLayer, Corner, EdgeId, FaceId, Material, Mesh, Semantic, VertexId, WedgeId};
+pub use model::{
+    AttributeLayer, Corner, EdgeId, FaceId, Material, Mesh, Semantic, VertexId, WedgeId,
+};
 pub use step::{Sample, Stage, Step};

@@ -189,8 +189,10 @@ impl<'a, V: Values> Body<'a, V> {
         element: &Element,
         add: fn(&[i64], &mut Vec<[i64; 3]>),
     ) -> Result<(), IoError> {
-        let is_indices = |p: &Property| matches!(p.name.as_str(), "vertex_indices" | "vertex_index");
-        if !element.properties.iter().any(|p| is_indices(p) && matches!(p.kind, Kind::List { .. })) {
+        let is_indices =
+            |p: &Property| matches!(p.name.as_str(), "vertex_indices" | "vertex_index");
+        if !element.properties.iter().any(|p| is_indices(p) && matches!(p.kind, Kind::List { .. }))
+        {
             let problem = "no list property 'vertex_indices'";
             return Err(self.source.malformed(self.place(element, 0), problem, REMEDY));
         }
@@ -221,7 +223,8 @@ impl<'a, V: Values> Body<'a, V> {
     fn take(&mut self, triangles: &[[i64; 3]], element: &Element, row: u64) -> Result<(), IoError> {
         self.soup.claim(self.source, "element face", 0, triangles.len() as u64)?;
         for triangle in triangles {
-            if let Some(&index) = triangle.iter().find(|i| !(0..self.n_vertices as i64).contains(*i))
+            if let Some(&index) =
+                triangle.iter().find(|i| !(0..self.n_vertices as i64).contains(*i))
             {
                 let place = self.place(element, row);
                 return Err(self.source.out_of_range(place, "vertices", index, self.n_vertices));

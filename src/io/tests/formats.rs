@@ -111,7 +111,8 @@ fn obj_vertex_colours() {
 
 #[test]
 fn stl_in_both_kinds() {
-    let facets = [[[0., 0., 0.], [1., 0., 0.], [1., 1., 0.]], [[0., 0., 0.], [1., 1., 0.], [0., 1., 0.]]];
+    let facets =
+        [[[0., 0., 0.], [1., 0., 0.], [1., 1., 0.]], [[0., 0., 0.], [1., 1., 0.], [0., 1., 0.]]];
     let mut text = "solid square\n".to_owned();
     let mut binary = b"solid but binary".to_vec();
     binary.resize(80, b' ');

@@ -119,7 +119,8 @@ fn materials_and_what_is_left_out() {
     let mut bare = json["meshes"][0]["primitives"][0].clone();
     bare["targets"] = json!([{ "POSITION": 0 }]);
     let points = json!({ "attributes": { "POSITION": 0 }, "mode": 0 });
-    json["meshes"][0]["primitives"] = json!([primitive(json!(1)), primitive(json!(0)), bare, points]);
+    json["meshes"][0]["primitives"] =
+        json!([primitive(json!(1)), primitive(json!(0)), bare, points]);
     let Ingest { mesh, report } = load("x.glb", &glb(&json, &square_bin())).unwrap();
     assert_eq!(mesh.face_materials, [1, 1, 0, 0, 2, 2]);
     assert_eq!(mesh.materials[0].base_color, [0.5, 0.25, 0.125, 1.0]);
@@ -140,10 +141,14 @@ fn normals_go_with_the_surface() {
     bin.extend(bytes_of(&[0.0, 0.0, 1.0].repeat(4)));
     let mut json = square_json();
     json["buffers"][0]["byteLength"] = bin.len().into();
-    json["bufferViews"].as_array_mut().unwrap().push(
-        json!({ "buffer": 0, "byteOffset": 60, "byteLength": 48 }));
-    json["accessors"].as_array_mut().unwrap().push(
-        json!({ "bufferView": 2, "componentType": 5126, "count": 4, "type": "VEC3" }));
+    json["bufferViews"]
+        .as_array_mut()
+        .unwrap()
+        .push(json!({ "buffer": 0, "byteOffset": 60, "byteLength": 48 }));
+    json["accessors"]
+        .as_array_mut()
+        .unwrap()
+        .push(json!({ "bufferView": 2, "componentType": 5126, "count": 4, "type": "VEC3" }));
     json["meshes"][0]["primitives"][0]["attributes"]["NORMAL"] = 2.into();
     // x stays, y stays, and z grows with x: the surface tilts by 45 degrees.
     json["nodes"] = json!([{ "mesh": 0,

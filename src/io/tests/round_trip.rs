@@ -76,6 +76,40 @@ fn glb_keeps_everything() {
     assert_eq!(write_glb(&again).unwrap(), bytes, "the same mesh gives the same bytes");
 }
 
+/// What the Khronos validator looks at, as far as it can be seen from outside: the schema, four-byte
+/// alignment, exact bounds of positions, unit normals and tangents, colours in 0..=1.
+#[test]
+fn glb_is_valid() {
+    let mut mesh = rich_square();
+    mesh.layers[0].values[0] = 7.0;
+    mesh.layers[4].values[0] = -7.0;
+    mesh.positions[3].z = 1.0 / 3.0;
+    let bytes = write_glb(&mesh).unwrap();
+    assert_eq!(bytes.len() % 4, 0);
+    let document = gltf::Gltf::from_slice(&bytes).expect("the schema holds");
+    let bin = document.blob.as_deref().unwrap();
+    for view in document.views() {
+        assert_eq!(view.offset() % 4, 0);
+        assert!(view.target().is_some());
+    }
+    for primitive in document.meshes().flat_map(|m| m.primitives()) {
+        let reader = primitive.reader(|_| Some(bin));
+        let positions: Vec<_> = reader.read_positions().unwrap().collect();
+        let bound = |f: fn(f32, f32) -> f32| {
+            positions.iter().copied().reduce(|a, b| [0, 1, 2].map(|k| f(a[k], b[k]))).unwrap()
+        };
+        let stated = primitive.bounding_box();
+        assert_eq!((stated.min, stated.max), (bound(f32::min), bound(f32::max)));
+        let length = |v: &[f32]| v.iter().map(|x| x * x).sum::<f32>().sqrt();
+        assert!(reader.read_normals().unwrap().all(|n| (length(&n) - 1.0).abs() < 1e-5));
+        let is_tangent = |t: [f32; 4]| (length(&t[..3]) - 1.0).abs() < 1e-5 && t[3].abs() == 1.0;
+        assert!(reader.read_tangents().unwrap().all(is_tangent));
+        let mut colors = reader.read_colors(0).unwrap().into_rgba_f32();
+        assert!(colors.all(|c| c.iter().all(|x| (0.0..=1.0).contains(x))));
+        assert!(reader.read_indices().unwrap().into_u32().all(|i| i < positions.len() as u32));
+    }
+}
+
 #[test]
 fn ply_keeps_what_it_has_properties_for() {
     let mut mesh = rich_square();

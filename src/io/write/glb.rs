@@ -230,9 +230,8 @@ fn point_normals(mesh: &Mesh, points: &Points, normals: &[f32]) -> Vec<DVec3> {
 
 fn make_unit(normals: &mut [f32], instead: &[DVec3]) {
     for (i, n) in normals.as_chunks_mut::<3>().0.iter_mut().enumerate() {
-        *n = unit(*n).unwrap_or_else(|| {
-            unit_or_z(instead.get(i).copied().unwrap_or(DVec3::Z)).to_array()
-        });
+        *n = unit(*n)
+            .unwrap_or_else(|| unit_or_z(instead.get(i).copied().unwrap_or(DVec3::Z)).to_array());
     }
 }
 
