@@ -148,7 +148,9 @@ impl Pieces {
 
 fn count_duplicates(mesh: &Mesh) -> u64 {
     let mut keys: Vec<[u32; 3]> = mesh.faces.clone();
-    keys.iter_mut().for_each(|k| k.sort_unstable());
+    for key in &mut keys {
+        key.sort_unstable();
+    }
     keys.sort_unstable();
     keys.chunk_by(|a, b| a == b).map(|same| same.len() as u64 - 1).sum()
 }

@@ -99,7 +99,7 @@ impl<'a, V: Values> Body<'a, V> {
 
     /// Refuses a count that the bytes left cannot hold, before anything is allocated for it.
     fn check_length(&self, element: &Element) -> Result<(), IoError> {
-        let per_row: u64 = element.properties.iter().map(|p| V::min_bytes(&p.kind)).sum();
+        let per_row: u64 = element.properties.iter().map(|p| V::min_bytes(p.kind)).sum();
         // The last value of an ASCII file needs no separator.
         let need = element.count.saturating_mul(per_row).saturating_sub(1);
         let have = self.values.n_left();

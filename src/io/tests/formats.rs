@@ -33,7 +33,9 @@ fn ply_binary(big: bool) -> Vec<u8> {
         push(&(-2_i16).to_le_bytes());
         push(&[1]);
         push(&5_i32.to_le_bytes());
-        [255_u8, 0, 188].iter().for_each(|c| push(&[*c]));
+        for c in [255, 0, 188] {
+            push(&[c]);
+        }
     }
     push(&3_i32.to_le_bytes());
     push(&[1]);
@@ -121,7 +123,7 @@ fn stl_in_both_kinds() {
         text += "facet normal 0 0 1\n outer loop\n";
         binary.extend(bytes_of(&[0.0; 3]));
         for [x, y, z] in facet {
-            text += &format!("  vertex {x} {y} {z}\r\n");
+            text = format!("{text}  vertex {x} {y} {z}\r\n");
             binary.extend(bytes_of(&[x, y, z]));
         }
         text += " endloop\nendfacet\n";

@@ -31,9 +31,10 @@ fn json_with_embedded_buffers_gives_the_same() {
 #[test]
 fn instances_are_placed_and_mirrors_turned() {
     let mut json = square_json();
+    let half = 0.5_f32.sqrt();
     json["nodes"] = json!([
         { "children": [1, 2], "translation": [10, 0, 0], "scale": [2, 2, 2] },
-        { "mesh": 0, "rotation": [0, 0, 0.70710678, 0.70710678] },
+        { "mesh": 0, "rotation": [0, 0, half, half] },
         { "mesh": 0, "matrix": [-1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 5, 1] },
     ]);
     let Ingest { mesh, report } = load("x.glb", &glb(&json, &square_bin())).unwrap();

@@ -31,7 +31,9 @@ fn assert_valid(mesh: &Mesh) {
     let mut is_used = vec![false; mesh.positions.len()];
     for [a, b, c] in &mesh.faces {
         assert!(a != b && b != c && c != a, "repeated vertex");
-        [a, b, c].iter().for_each(|v| is_used[**v as usize] = true);
+        for v in [a, b, c] {
+            is_used[*v as usize] = true;
+        }
     }
     assert!(is_used.iter().all(|u| *u), "unreferenced vertex");
     assert!(mesh.positions.iter().all(|p| p.is_finite()));
