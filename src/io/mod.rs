@@ -34,6 +34,8 @@ mod stl;
 mod weld;
 mod write;
 
+#[cfg(test)]
+mod tests;
 
 pub use error::IoError;
 pub use limits::Limits;

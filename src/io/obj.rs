@@ -79,7 +79,7 @@ impl<'a> Reader<'a> {
             material_ids: BTreeMap::new(),
             material: 0,
             polygon: Vec::new(),
-            soup: Soup { n_instances: 1, ..Soup::default() },
+            soup: Soup::of_one_instance(),
         }
     }
 
@@ -228,7 +228,10 @@ impl<'a> Reader<'a> {
                 .push(Attribute { semantic: Semantic::TexCoord(0), values: values.collect() });
         }
         if !self.colors.is_empty() {
-            let rgba = |i: usize| self.colors.get(i).map_or([1.0; 4], |[r, g, b]| [*r, *g, *b, 1.0]);
+            let rgba = |i: usize| {
+                let [r, g, b] = self.colors.get(i).copied().unwrap_or([1.0; 3]);
+                [r, g, b, 1.0]
+            };
             let values = column(0).flat_map(rgba).collect();
             attributes.push(Attribute { semantic: Semantic::Color(0), values });
         }

@@ -49,7 +49,7 @@ pub struct IngestReport {
     pub non_manifold_edges: u64,
     /// Triangles that repeat the three vertices of an earlier one, in any order.
     pub duplicate_faces: u64,
-    /// Pieces that no edge connects.
+    /// Pieces that share no vertex.
     pub components: u64,
     /// Bounds of the vertices.
     pub bounding_box: BoundingBox,
@@ -78,7 +78,7 @@ pub(super) fn survey(format: &'static str, welded: &mut Welded) -> IngestReport 
         boundary_edges: edges.n_boundary,
         non_manifold_edges: edges.n_non_manifold,
         duplicate_faces: count_duplicates(mesh),
-        components: edges.n_components,
+        components: count_components(mesh),
         bounding_box: bounds_of(mesh),
         layers: mesh.layers.iter().map(|l| name_of(l.semantic)).collect(),
         materials: mesh.materials.len() as u64,
@@ -91,34 +91,35 @@ pub(super) fn survey(format: &'static str, welded: &mut Welded) -> IngestReport 
 struct EdgeCounts {
     n_boundary: u64,
     n_non_manifold: u64,
-    n_components: u64,
 }
 
 impl EdgeCounts {
     fn of(mesh: &Mesh) -> Self {
-        let mut sides: Vec<(u64, u32)> = Vec::with_capacity(mesh.faces.len() * 3);
-        for (face, &[a, b, c]) in mesh.faces.iter().enumerate() {
-            sides.extend([(a, b), (b, c), (c, a)].map(|(v, w)| {
-                let key = u64::from(v.min(w)) << 32 | u64::from(v.max(w));
-                (key, face as u32)
-            }));
+        let mut sides: Vec<u64> = Vec::with_capacity(mesh.faces.len() * 3);
+        for &[a, b, c] in &mesh.faces {
+            let key = |v: u32, w: u32| u64::from(v.min(w)) << 32 | u64::from(v.max(w));
+            sides.extend([key(a, b), key(b, c), key(c, a)]);
         }
         sides.sort_unstable();
-        let mut pieces = Pieces::new(mesh.faces.len());
         let mut counts = Self::default();
-        for edge in sides.chunk_by(|x, y| x.0 == y.0) {
+        for edge in sides.chunk_by(|x, y| x == y) {
             counts.n_boundary += u64::from(edge.len() == 1);
             counts.n_non_manifold += u64::from(edge.len() > 2);
-            for pair in edge.windows(2) {
-                pieces.join(pair[0].1, pair[1].1);
-            }
         }
-        counts.n_components = pieces.count();
         counts
     }
 }
 
-/// Disjoint sets of faces (union by the smaller index, with path halving).
+fn count_components(mesh: &Mesh) -> u64 {
+    let mut pieces = Pieces::new(mesh.positions.len());
+    for [a, b, c] in &mesh.faces {
+        pieces.join(*a, *b);
+        pieces.join(*a, *c);
+    }
+    pieces.count()
+}
+
+/// Disjoint sets of vertices (union by the smaller index, with path halving).
 struct Pieces(Vec<u32>);
 
 impl Pieces {
@@ -147,7 +148,9 @@ impl Pieces {
 
 fn count_duplicates(mesh: &Mesh) -> u64 {
     let mut keys: Vec<[u32; 3]> = mesh.faces.clone();
-    keys.iter_mut().for_each(|k| k.sort_unstable());
+    for key in &mut keys {
+        key.sort_unstable();
+    }
     keys.sort_unstable();
     keys.chunk_by(|a, b| a == b).map(|same| same.len() as u64 - 1).sum()
 }
@@ -163,15 +166,15 @@ fn bounds_of(mesh: &Mesh) -> BoundingBox {
 mod tests {
     use super::*;
 
-    /// Two triangles on an edge, a third on the same edge, a copy of it turned over, and one
-    /// apart that shares only a vertex.
+    /// Two triangles on an edge, a third on the same edge, a copy of it turned over, one
+    /// more that shares only a vertex, and one apart.
     #[test]
     fn counts_edges_pieces_and_copies() {
-        let faces = vec![[0, 1, 2], [1, 0, 3], [0, 1, 4], [1, 0, 4], [4, 5, 6]];
-        let mesh = Mesh::from_parts(vec![DVec3::ONE; 7], faces);
+        let faces = vec![[0, 1, 2], [1, 0, 3], [0, 1, 4], [1, 0, 4], [4, 5, 6], [7, 8, 9]];
+        let mesh = Mesh::from_parts(vec![DVec3::ONE; 10], faces);
         let edges = EdgeCounts::of(&mesh);
-        assert_eq!((edges.n_boundary, edges.n_non_manifold), (4 + 3, 1));
-        assert_eq!(edges.n_components, 2);
+        assert_eq!((edges.n_boundary, edges.n_non_manifold), (4 + 3 + 3, 1));
+        assert_eq!(count_components(&mesh), 2);
         assert_eq!(count_duplicates(&mesh), 1);
     }
 }

@@ -63,11 +63,16 @@ pub(super) struct Soup {
     pub(super) notes: Notes,
     /// Meshes placed by nodes; 1 where the format has no nodes.
     pub(super) n_instances: u64,
-    pub(super) n_points: u64,
-    pub(super) n_triangles: u64,
+    n_points: u64,
+    n_triangles: u64,
 }
 
 impl Soup {
+    /// For formats without nodes.
+    pub(super) fn of_one_instance() -> Self {
+        Self { n_instances: 1, ..Self::default() }
+    }
+
     /// Counts points and triangles that are about to be read against the limits.
     pub(super) fn claim(
         &mut self,
@@ -122,11 +127,10 @@ impl Notes {
 
     pub(super) fn add(&mut self, code: &'static str, text: impl Into<String>) {
         let text = text.into();
-        let known = self.0.iter().position(|n| n.code == code && n.text == text);
-        match known {
-            Some(at) => self.0[at].count += 1,
-            None if self.0.len() < Self::MAX => self.0.push(Note { code, text, count: 1 }),
-            None => {}
+        if let Some(note) = self.0.iter_mut().find(|n| n.code == code && n.text == text) {
+            note.count += 1;
+        } else if self.0.len() < Self::MAX {
+            self.0.push(Note { code, text, count: 1 });
         }
     }
 

@@ -58,11 +58,7 @@ impl Source<'_> {
         IoError::Truncated { file: self.file.to_owned(), place: place.into(), need, have }
     }
 
-    pub(super) fn unsupported(
-        &self,
-        feature: impl Into<String>,
-        remedy: &'static str,
-    ) -> IoError {
+    pub(super) fn unsupported(&self, feature: impl Into<String>, remedy: &'static str) -> IoError {
         IoError::Unsupported { file: self.file.to_owned(), feature: feature.into(), remedy }
     }
 

@@ -41,7 +41,7 @@ fn length_for(n_facets: u32) -> u64 {
 
 /// Reads either kind.
 pub(super) fn read(source: &Source<'_>) -> Result<Soup, IoError> {
-    let mut soup = Soup { n_instances: 1, ..Soup::default() };
+    let mut soup = Soup::of_one_instance();
     let positions = if !is_binary(source.bytes) && is_ascii(source.bytes) {
         read_ascii(source, &mut soup)?
     } else {

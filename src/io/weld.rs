@@ -45,7 +45,7 @@ pub(super) fn weld(source: &Source<'_>, soup: Soup) -> Result<Welded, IoError> {
     }
     let mut joiner = Joiner::new(layers);
     for patch in patches {
-        joiner.join(patch);
+        joiner.join(&patch);
     }
     if joiner.faces.is_empty() {
         return Err(source.no_triangles(match n_triangles_in_file {
@@ -186,8 +186,8 @@ impl Joiner {
         }
     }
 
-    fn join(&mut self, patch: Patch) {
-        let used = points_used(&patch, |_| true);
+    fn join(&mut self, patch: &Patch) {
+        let used = points_used(patch, |_| true);
         let vertex_of_point = self.number_vertices(&patch.positions, &used);
         let is_kept = |t: &[u32; 3]| {
             let [a, b, c] = t.map(|p| vertex_of_point[p as usize]);
@@ -196,7 +196,7 @@ impl Joiner {
         let wedge_of_point = if self.layers.is_empty() {
             Vec::new()
         } else {
-            let used = points_used(&patch, is_kept);
+            let used = points_used(patch, is_kept);
             self.number_wedges(&patch.attributes, &vertex_of_point, &used)
         };
         for (i, t) in patch.triangles.iter().enumerate() {
@@ -268,7 +268,8 @@ impl Joiner {
         for (words, used) in positions.chunks_exact(6).zip(&is_used) {
             new_ids.push(kept.len() as u32);
             if *used {
-                let x = |k: usize| f64::from_bits(u64::from(words[k]) | u64::from(words[k + 1]) << 32);
+                let word = |k: usize| u64::from(words[k]);
+                let x = |k: usize| f64::from_bits(word(k) | word(k + 1) << 32);
                 kept.push(DVec3::new(x(0), x(2), x(4)));
             }
         }

@@ -100,7 +100,7 @@ impl<'a> Document<'a> {
         let Some(sparse) = &view.accessor.sparse else { return Ok(()) };
         let place = format!("{place}: sparse values");
         let Checked::Valid(kind) = sparse.indices.component_type else {
-            return Err(self.source.malformed(&place, "unknown index type", REMEDY));
+            return Err(self.source.malformed(place, "unknown index type", REMEDY));
         };
         let (count, n_bytes) = (sparse.count.0, view.component.size());
         let at = Range {
@@ -117,12 +117,12 @@ impl<'a> Document<'a> {
             n_bytes: n_bytes * view.width,
         };
         let Some(read_index) = integer_converter(kind.0) else {
-            return Err(self.source.malformed(&place, "indices are not unsigned", REMEDY));
+            return Err(self.source.malformed(place, "indices are not unsigned", REMEDY));
         };
         for (index, element) in indices.zip(self.elements(&at, &place)?) {
             let index = read_index(index);
             let Some(slot) = values.chunks_exact_mut(view.width).nth(index as usize) else {
-                return Err(self.source.out_of_range(&place, "elements", index.into(), view.count));
+                return Err(self.source.out_of_range(place, "elements", index.into(), view.count));
             };
             for (value, bytes) in slot.iter_mut().zip(element.chunks_exact(n_bytes)) {
                 *value = convert(bytes);
@@ -136,7 +136,7 @@ impl<'a> Document<'a> {
         &self,
         range: &Range,
         place: &str,
-    ) -> Result<impl Iterator<Item = &[u8]>, IoError> {
+    ) -> Result<impl Iterator<Item = &[u8]> + use<'_, 'a>, IoError> {
         let bytes = self.buffers.view(self.source, &self.root, range.view, place)?;
         let n_bytes = range.n_bytes as u64;
         let stride = self.root.buffer_views.get(range.view).and_then(|v| v.byte_stride);

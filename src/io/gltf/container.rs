@@ -80,26 +80,25 @@ impl<'a> Buffers<'a> {
     ) -> Result<Self, IoError> {
         let mut buffers = Vec::new();
         for (i, buffer) in root.buffers.iter().enumerate() {
-            let place = || format!("buffer {i}");
-            let content: Cow<'a, [u8]> = match &buffer.uri {
-                Some(uri) if uri.starts_with("data:") => decode(uri)
-                    .map(Cow::Owned)
-                    .ok_or_else(|| source.malformed(place(), "its base64 text is bad", REMEDY))?,
-                Some(uri) => {
+            let content = match (&buffer.uri, bin) {
+                (Some(uri), _) if uri.starts_with("data:") => {
+                    Cow::Owned(decode(uri).ok_or_else(|| {
+                        source.malformed(format!("buffer {i}"), "its base64 text is bad", REMEDY)
+                    })?)
+                }
+                (Some(uri), _) => {
                     buffers.push(Buffer::External(uri.chars().take(80).collect()));
                     continue;
                 }
-                None => match bin.filter(|_| i == 0) {
-                    Some(bin) => Cow::Borrowed(bin),
-                    None => {
-                        buffers.push(Buffer::Absent);
-                        continue;
-                    }
-                },
+                (None, Some(bin)) if i == 0 => Cow::Borrowed(bin),
+                (None, _) => {
+                    buffers.push(Buffer::Absent);
+                    continue;
+                }
             };
             let (need, have) = (buffer.byte_length.0, content.len() as u64);
             if have < need {
-                return Err(source.truncated(place(), need, have));
+                return Err(source.truncated(format!("buffer {i}"), need, have));
             }
             buffers.push(Buffer::Bytes(content));
         }

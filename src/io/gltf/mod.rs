@@ -41,7 +41,7 @@ struct Document<'a> {
 }
 
 fn read_document(source: &Source<'_>, json: &[u8], bin: Option<&[u8]>) -> Result<Soup, IoError> {
-    let n_objects = json.iter().filter(|b| **b == b'{').count() as u64;
+    let n_objects = json.split(|b| *b == b'{').count() as u64 - 1;
     source.check_limit("JSON", "objects", n_objects, source.limits.max_json_objects)?;
     let root: json::Root = json::deserialize::from_slice(json).map_err(|error| {
         let place = format!("JSON, line {} column {}", error.line(), error.column());
@@ -63,12 +63,8 @@ fn read_document(source: &Source<'_>, json: &[u8], bin: Option<&[u8]>) -> Result
 }
 
 /// Required extensions that change nothing here, or that are read.
-const HARMLESS: [&str; 4] = [
-    "KHR_mesh_quantization",
-    "KHR_texture_transform",
-    "KHR_lights_punctual",
-    "KHR_xmp_json_ld",
-];
+const HARMLESS: [&str; 4] =
+    ["KHR_mesh_quantization", "KHR_texture_transform", "KHR_lights_punctual", "KHR_xmp_json_ld"];
 
 /// Required extensions that are known, with what to do about them.
 const REFUSED: [(&str, &str); 5] = [
@@ -86,8 +82,7 @@ const REFUSED: [(&str, &str); 5] = [
 ];
 
 fn check_extensions(source: &Source<'_>, root: &json::Root) -> Result<(), IoError> {
-    let is_harmless =
-        |name: &str| HARMLESS.contains(&name) || name.starts_with("KHR_materials_");
+    let is_harmless = |name: &str| HARMLESS.contains(&name) || name.starts_with("KHR_materials_");
     let Some(name) = root.extensions_required.iter().find(|n| !is_harmless(n)) else {
         return Ok(());
     };
@@ -99,7 +94,11 @@ fn check_extensions(source: &Source<'_>, root: &json::Root) -> Result<(), IoErro
 
 fn note_what_is_left_out(root: &json::Root, soup: &mut Soup) {
     let rows = [
-        (root.animations.len(), "animations_ignored", "animations are ignored: the rest pose is read"),
+        (
+            root.animations.len(),
+            "animations_ignored",
+            "animations are ignored: the rest pose is read",
+        ),
         (root.skins.len(), "skins_ignored", "skins are ignored: the bind pose is read"),
         (root.cameras.len(), "cameras_ignored", "cameras are ignored"),
     ];

@@ -1,11 +1,11 @@
 //! Primitives: attributes and triangles of a placed mesh, in world space.
 
+use glam::{DMat3, DMat4, DVec3};
 use gltf::json::{
     accessor::Type,
     mesh::{Mode, Primitive, Semantic as JsonSemantic},
     validation::Checked,
 };
-use glam::{DMat3, DMat4, DVec3};
 
 use super::{
     super::soup::{Attribute, Patch, PatchMaterials, defaults_of},
@@ -63,7 +63,9 @@ fn read_primitive(
     let position_place = format!("{place}, POSITION");
     let view = document.accessor(positions.value(), &[Type::Vec3], &position_place)?;
     let indices = match primitive.indices {
-        Some(i) => Some(document.accessor(i.value(), &[Type::Scalar], &format!("{place}, indices"))?),
+        Some(i) => {
+            Some(document.accessor(i.value(), &[Type::Scalar], &format!("{place}, indices"))?)
+        }
         None => None,
     };
     let n_points = view.count;
@@ -76,7 +78,12 @@ fn read_primitive(
     };
     let positions = document.floats(&view, false, &position_place)?;
     let mut patch = Patch {
-        positions: positions.as_chunks::<3>().0.iter().map(|p| place_point(placement, *p)).collect(),
+        positions: positions
+            .as_chunks::<3>()
+            .0
+            .iter()
+            .map(|p| place_point(placement, *p))
+            .collect(),
         triangles: (split.triangles)(&corners),
         attributes: read_attributes(document, soup, primitive, n_points, &place)?,
         materials: PatchMaterials::All(match primitive.material {
@@ -162,7 +169,8 @@ fn read_attributes(
         let is_color = matches!(semantic, Semantic::Color(_));
         let mut values = document.floats(&view, is_color, &place)?;
         if view.width < defaults_of(semantic).len() {
-            values = values.as_chunks::<3>().0.iter().flat_map(|c| [c[0], c[1], c[2], 1.0]).collect();
+            values =
+                values.as_chunks::<3>().0.iter().flat_map(|c| [c[0], c[1], c[2], 1.0]).collect();
         }
         attributes.push(Attribute { semantic, values });
     }
@@ -221,11 +229,7 @@ fn transform_attributes(patch: &mut Patch, world_from_mesh: &DMat4) {
 
 /// `det(m)` times the inverse transpose of `m`; defined for singular matrices too.
 fn cofactors(m: &DMat3) -> DMat3 {
-    DMat3::from_cols(
-        m.y_axis.cross(m.z_axis),
-        m.z_axis.cross(m.x_axis),
-        m.x_axis.cross(m.y_axis),
-    )
+    DMat3::from_cols(m.y_axis.cross(m.z_axis), m.z_axis.cross(m.x_axis), m.x_axis.cross(m.y_axis))
 }
 
 /// A direction after a linear map, at length 1 (zero stays zero).

@@ -1,7 +1,7 @@
 //! The node tree: which mesh stands where.
 
-use gltf::json::{Index, Node};
 use glam::{DMat4, DQuat, DVec3, Quat, Vec3};
+use gltf::json::{Index, Node};
 
 use super::{Document, IoError, REMEDY};
 

@@ -6,7 +6,7 @@ use super::header::{Kind, Scalar};
 /// A stream of values.
 pub(super) trait Values {
     /// The least bytes that a property takes.
-    fn min_bytes(kind: &Kind) -> u64;
+    fn min_bytes(kind: Kind) -> u64;
     /// The next value; `None` at the end or where there is no number.
     fn next(&mut self, kind: Scalar) -> Option<f64>;
     /// Bytes not read yet.
@@ -29,14 +29,14 @@ impl<'a> AsciiValues<'a> {
 }
 
 impl Values for AsciiValues<'_> {
-    fn min_bytes(_: &Kind) -> u64 {
+    fn min_bytes(_: Kind) -> u64 {
         // A digit and a separator.
         2
     }
 
     fn next(&mut self, kind: Scalar) -> Option<f64> {
         let blank = self.rest.iter().take_while(|b| b.is_ascii_whitespace()).count();
-        self.line += self.rest[..blank].iter().filter(|b| **b == b'\n').count();
+        self.line += self.rest[..blank].split(|b| *b == b'\n').count() - 1;
         self.rest = &self.rest[blank..];
         let length = self.rest.iter().take_while(|b| !b.is_ascii_whitespace()).count();
         let (word, rest) = self.rest.split_at(length);
@@ -81,7 +81,7 @@ impl<'a, const BIG: bool> BinaryValues<'a, BIG> {
 }
 
 impl<const BIG: bool> Values for BinaryValues<'_, BIG> {
-    fn min_bytes(kind: &Kind) -> u64 {
+    fn min_bytes(kind: Kind) -> u64 {
         match kind {
             Kind::Scalar(scalar) | Kind::List { count: scalar, .. } => scalar.n_bytes(),
         }

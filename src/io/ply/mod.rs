@@ -71,7 +71,7 @@ struct Body<'a, V> {
 impl<'a, V: Values> Body<'a, V> {
     fn new(source: &'a Source<'a>, values: V) -> Self {
         let patch = Patch { place: "element vertex".to_owned(), ..Patch::default() };
-        let soup = Soup { n_instances: 1, ..Soup::default() };
+        let soup = Soup::of_one_instance();
         Self { source, values, soup, patch, n_vertices: 0 }
     }
 
@@ -99,7 +99,7 @@ impl<'a, V: Values> Body<'a, V> {
 
     /// Refuses a count that the bytes left cannot hold, before anything is allocated for it.
     fn check_length(&self, element: &Element) -> Result<(), IoError> {
-        let per_row: u64 = element.properties.iter().map(|p| V::min_bytes(&p.kind)).sum();
+        let per_row: u64 = element.properties.iter().map(|p| V::min_bytes(p.kind)).sum();
         // The last value of an ASCII file needs no separator.
         let need = element.count.saturating_mul(per_row).saturating_sub(1);
         let have = self.values.n_left();
@@ -189,8 +189,10 @@ impl<'a, V: Values> Body<'a, V> {
         element: &Element,
         add: fn(&[i64], &mut Vec<[i64; 3]>),
     ) -> Result<(), IoError> {
-        let is_indices = |p: &Property| matches!(p.name.as_str(), "vertex_indices" | "vertex_index");
-        if !element.properties.iter().any(|p| is_indices(p) && matches!(p.kind, Kind::List { .. })) {
+        let is_indices =
+            |p: &Property| matches!(p.name.as_str(), "vertex_indices" | "vertex_index");
+        if !element.properties.iter().any(|p| is_indices(p) && matches!(p.kind, Kind::List { .. }))
+        {
             let problem = "no list property 'vertex_indices'";
             return Err(self.source.malformed(self.place(element, 0), problem, REMEDY));
         }
@@ -221,7 +223,8 @@ impl<'a, V: Values> Body<'a, V> {
     fn take(&mut self, triangles: &[[i64; 3]], element: &Element, row: u64) -> Result<(), IoError> {
         self.soup.claim(self.source, "element face", 0, triangles.len() as u64)?;
         for triangle in triangles {
-            if let Some(&index) = triangle.iter().find(|i| !(0..self.n_vertices as i64).contains(*i))
+            if let Some(&index) =
+                triangle.iter().find(|i| !(0..self.n_vertices as i64).contains(*i))
             {
                 let place = self.place(element, row);
                 return Err(self.source.out_of_range(place, "vertices", index, self.n_vertices));

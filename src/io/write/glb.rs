@@ -39,7 +39,7 @@ pub fn write_glb(mesh: &Mesh) -> Result<Vec<u8>, IoError> {
     let primitives: Vec<Value> =
         used.map(|(material, faces)| file.primitive(mesh, material, faces)).collect();
     let document = file.document(&primitives, &mesh.materials);
-    pack(document.to_string().into_bytes(), file.bin)
+    pack(document.to_string().into_bytes(), &file.bin)
 }
 
 /// The binary chunk and the tables that describe it.
@@ -80,7 +80,7 @@ impl Builder {
     /// 16-bit indices where they suffice; 65,535 is reserved for restarts.
     fn indices(&mut self, points: &Points) -> usize {
         let flat = points.triangles.iter().flatten();
-        let (component, bytes): (u32, Vec<u8>) = if points.len() <= usize::from(u16::MAX) {
+        let (component, bytes): (u32, Vec<u8>) = if u16::try_from(points.len()).is_ok() {
             (UNSIGNED_SHORT, flat.flat_map(|i| (*i as u16).to_le_bytes()).collect())
         } else {
             (UNSIGNED_INT, flat.flat_map(|i| i.to_le_bytes()).collect())
@@ -95,7 +95,7 @@ impl Builder {
     }
 
     fn positions(&mut self, mesh: &Mesh, points: &Points) -> usize {
-        let positions: Vec<Vec3> = points.positions(mesh).map(|p| p.as_vec3()).collect();
+        let positions: Vec<Vec3> = points.positions(mesh).map(|p: DVec3| p.as_vec3()).collect();
         let first = positions.first().copied().unwrap_or(Vec3::ZERO);
         let (min, max) =
             positions.iter().fold((first, first), |(lo, hi), p| (lo.min(*p), hi.max(*p)));
@@ -230,9 +230,8 @@ fn point_normals(mesh: &Mesh, points: &Points, normals: &[f32]) -> Vec<DVec3> {
 
 fn make_unit(normals: &mut [f32], instead: &[DVec3]) {
     for (i, n) in normals.as_chunks_mut::<3>().0.iter_mut().enumerate() {
-        *n = unit(*n).unwrap_or_else(|| {
-            unit_or_z(instead.get(i).copied().unwrap_or(DVec3::Z)).to_array()
-        });
+        *n = unit(*n)
+            .unwrap_or_else(|| unit_or_z(instead.get(i).copied().unwrap_or(DVec3::Z)).to_array());
     }
 }
 
@@ -247,7 +246,7 @@ fn unit(v: [f32; 3]) -> Option<[f32; 3]> {
 }
 
 /// Header, JSON chunk padded with spaces, binary chunk padded with zeros.
-fn pack(mut json: Vec<u8>, bin: Vec<u8>) -> Result<Vec<u8>, IoError> {
+fn pack(mut json: Vec<u8>, bin: &[u8]) -> Result<Vec<u8>, IoError> {
     json.resize(json.len().next_multiple_of(4), b' ');
     let total = 12 + 8 + json.len() + 8 + bin.len();
     let word = |n: usize| {
@@ -264,6 +263,6 @@ fn pack(mut json: Vec<u8>, bin: Vec<u8>) -> Result<Vec<u8>, IoError> {
     file.append(&mut json);
     file.extend_from_slice(&word(bin.len())?);
     file.extend_from_slice(b"BIN\0");
-    file.extend_from_slice(&bin);
+    file.extend_from_slice(bin);
     Ok(file)
 }

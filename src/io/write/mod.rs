@@ -33,8 +33,8 @@ fn check(format: &'static str, mesh: &Mesh) -> Result<(), IoError> {
     if mesh.layers.iter().any(|l| l.width == 0 || l.values.len() != n_wedges * l.width) {
         return Err(bad("an attribute layer has the wrong length"));
     }
-    let has_wedges = mesh.face_wedges.len() == mesh.faces.len();
-    if !mesh.layers.is_empty() && !(has_wedges && in_range(&mesh.face_wedges, n_wedges)) {
+    let n_face_wedges = if mesh.layers.is_empty() { 0 } else { mesh.faces.len() };
+    if mesh.face_wedges.len() != n_face_wedges || !in_range(&mesh.face_wedges, n_wedges) {
         return Err(bad("a triangle names a wedge that is not there"));
     }
     let n_materials = mesh.materials.len().max(1);

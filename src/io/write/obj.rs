@@ -12,10 +12,8 @@ use crate::mesh::{FaceId, Mesh, Semantic};
 /// [`IoError::Unwritable`] for a mesh without triangles or one that breaks its invariants.
 pub fn write_obj(mesh: &Mesh) -> Result<Vec<u8>, IoError> {
     check("OBJ", mesh)?;
-    let unwritable = |e: std::fmt::Error| IoError::Unwritable {
-        format: "OBJ",
-        problem: e.to_string(),
-    };
+    let unwritable =
+        |e: std::fmt::Error| IoError::Unwritable { format: "OBJ", problem: e.to_string() };
     let mut text = String::new();
     write_vertices(&mut text, mesh).map_err(unwritable)?;
     write_faces(&mut text, mesh).map_err(unwritable)?;

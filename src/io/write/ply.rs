@@ -89,11 +89,13 @@ fn header(points: &Points, layers: &[&AttributeLayer], precision: PlyPositions) 
     for column in COLUMNS.iter().filter(|c| layers.iter().any(|l| l.semantic == c.semantic)) {
         text.push_str(column.properties);
     }
-    text.push_str(&format!(
-        "element face {}\nproperty list uchar uint vertex_indices\nend_header\n",
-        points.triangles.len()
-    ));
-    text
+    let n_faces = points.triangles.len();
+    text + &format!(
+        "element face {n_faces}
+property list uchar uint vertex_indices
+end_header
+"
+    )
 }
 
 fn push_values(file: &mut Vec<u8>, semantic: Semantic, values: &[f32]) {
