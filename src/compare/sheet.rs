@@ -273,7 +273,7 @@ fn share(original: &Mesh, mesh: &Mesh) -> String {
 }
 
 /// A number with commas between thousands.
-fn thousands(n: usize) -> String {
+pub(super) fn thousands(n: usize) -> String {
     let digits = n.to_string();
     let mut out = String::new();
     for (i, digit) in digits.chars().enumerate() {
