@@ -56,3 +56,59 @@ pub struct Collapse {
     /// Their values: wedge after wedge, all layers of a wedge in layer order.
     pub new_wedges: Vec<f32>,
 }
+
+/// A triangle that a split cut in two, as it was just before.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SplitFace {
+    /// The triangle, which keeps the side of `a`.
+    pub face: FaceId,
+    /// The new triangle, on the side of `b`.
+    pub new_face: FaceId,
+    /// Vertices of `face` before.
+    pub vertices: [VertexId; 3],
+    /// Wedges of `face` before.
+    pub wedges: [WedgeId; 3],
+    /// The wedge of the new vertex in both (zero when the mesh has no attribute layers).
+    pub new_wedge: WedgeId,
+}
+
+/// The split of the edge (a, b) at a new vertex.
+///
+/// Redo: `vertex` is appended at `at`, `new_wedges` are appended; in each of `halves` the corner
+/// of `b` moves to `vertex`, and a copy of the triangle as it was, but with the corner of `a` at
+/// `vertex`, is appended. Undo: the reverse, as the last edit.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Split {
+    /// One end.
+    pub a: VertexId,
+    /// The other end.
+    pub b: VertexId,
+    /// The new vertex: the last slot.
+    pub vertex: VertexId,
+    /// Where it is.
+    pub at: DVec3,
+    /// Triangles that held both ends, ascending by id.
+    pub halves: SmallVec<[SplitFace; 2]>,
+    /// The first id of the wedges that this split appended.
+    pub first_new_wedge: WedgeId,
+    /// Their values: wedge after wedge, all layers of a wedge in layer order.
+    pub new_wedges: Vec<f32>,
+}
+
+/// The swap of the edge (a, b) between triangles (a, b, c) and (b, a, d) for the edge (c, d).
+///
+/// Redo: the corner of `b` in the first triangle moves to `d`, the corner of `a` in the second
+/// moves to `c`, and both change wedge. Undo: the reverse.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Swap {
+    /// The ends a, b of the edge that went.
+    pub ends: [VertexId; 2],
+    /// The ends c, d of the edge that came.
+    pub apexes: [VertexId; 2],
+    /// The corner of `b` in (a, b, c) and the corner of `a` in (b, a, d).
+    pub corners: [Corner; 2],
+    /// Their wedges before.
+    pub wedges_from: [WedgeId; 2],
+    /// Their wedges after.
+    pub wedges_to: [WedgeId; 2],
+}

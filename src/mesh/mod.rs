@@ -2,10 +2,29 @@
 //!
 //! Knows nothing of files, pictures or jobs. Geometry is f64 throughout.
 
+mod collapse;
+mod edges;
 mod edit;
+mod edit_mesh;
+mod error;
+mod legality;
+mod lists;
 mod model;
+mod refine;
+pub mod shapes;
+mod snapshot;
 mod step;
+#[cfg(test)]
+mod tests;
+mod wedges;
 
-pub use edit::{Collapse, RemovedFace, Rewedged};
-pub use model::{AttributeLayer, Corner, EdgeId, FaceId, Material, Mesh, Semantic, VertexId, WedgeId};
+pub use edges::{EdgeChange, EdgeTable};
+pub use edit::{Collapse, RemovedFace, Rewedged, Split, SplitFace, Swap};
+pub use edit_mesh::EditMesh;
+pub use error::{MAX_FACES, MeshError, Violation};
+pub use legality::{Legality, Topology};
+pub use model::{
+    AttributeLayer, Corner, EdgeId, FaceId, Material, Mesh, Semantic, VertexId, WedgeId,
+};
+pub use snapshot::Snapshot;
 pub use step::{Sample, Stage, Step};

@@ -15,6 +15,8 @@
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
+use super::error::{MAX_FACES, MeshError};
+
 /// Index of a vertex. Ids are stable: an edit never renumbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct VertexId(pub u32);
@@ -164,4 +166,54 @@ impl Mesh {
     pub fn layer(&self, semantic: Semantic) -> Option<&AttributeLayer> {
         self.layers.iter().find(|l| l.semantic == semantic)
     }
+
+    /// Checks invariants 1 to 5; O(triangles).
+    pub fn check(&self) -> Result<(), MeshError> {
+        let (faces, vertices) = (self.faces.len(), self.positions.len());
+        if faces > MAX_FACES || vertices > MAX_FACES {
+            return Err(MeshError::TooLarge { faces, vertices });
+        }
+        if let Some(vertex) = self.positions.iter().position(|p| !p.is_finite()) {
+            return Err(MeshError::NotFinite { vertex });
+        }
+        for (face, corners) in self.faces.iter().enumerate() {
+            check_face(face, *corners, vertices)?;
+        }
+        self.check_attributes()
+    }
+
+    fn check_attributes(&self) -> Result<(), MeshError> {
+        let n_wedges = self.n_wedges();
+        let n_corners = if self.layers.is_empty() { 0 } else { self.faces.len() };
+        check_length("the wedge list", self.face_wedges.len(), n_corners)?;
+        if !self.face_materials.is_empty() {
+            check_length("the material list", self.face_materials.len(), self.faces.len())?;
+        }
+        for layer in &self.layers {
+            check_length("an attribute layer", layer.values.len(), n_wedges * layer.width)?;
+        }
+        for (face, wedges) in self.face_wedges.iter().enumerate() {
+            if let Some(&wedge) = wedges.iter().find(|&&w| w as usize >= n_wedges) {
+                return Err(MeshError::WedgeOutOfRange { face, wedge, n_wedges });
+            }
+        }
+        Ok(())
+    }
+}
+
+fn check_face(face: usize, corners: [u32; 3], n_vertices: usize) -> Result<(), MeshError> {
+    if let Some(&vertex) = corners.iter().find(|&&v| v as usize >= n_vertices) {
+        return Err(MeshError::VertexOutOfRange { face, vertex, n_vertices });
+    }
+    let [a, b, c] = corners;
+    match (a == b || a == c, b == c) {
+        (false, false) => Ok(()),
+        (a_twice, _) => {
+            Err(MeshError::RepeatedVertex { face, vertex: if a_twice { a } else { b } })
+        }
+    }
+}
+
+fn check_length(what: &'static str, len: usize, expected: usize) -> Result<(), MeshError> {
+    if len == expected { Ok(()) } else { Err(MeshError::WrongLength { what, len, expected }) }
 }

@@ -2,4 +2,20 @@
 //!
 //! Knows nothing of edge queues, jobs or files.
 
+#[cfg(test)]
+mod contract;
+mod evaluator;
+mod fragments;
+pub mod lattice;
+mod moves;
+mod raster;
+mod scene;
+mod simd;
+mod twin;
 pub mod view;
+
+pub use evaluator::{Evaluator, Reference, RenderError};
+pub use moves::{AddedFace, MAX_MOVE_VERTICES, Move};
+pub use raster::{energy, picture, reference};
+pub use scene::{RenderParams, Scene, SceneFace, Shading};
+pub use twin::Twin;

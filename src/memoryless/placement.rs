@@ -1,0 +1,204 @@
+//! Where the vertex of a collapsed edge goes and what it costs (sections 3 to 6).
+
+use glam::DVec3;
+
+use super::constraints::Constraints;
+use super::gather::{Surroundings, gather};
+use super::params::{Params, Start};
+use super::quadratic::{Quadratic, Symmetric};
+use crate::mesh::{EditMesh, FaceId, VertexId};
+
+/// A vertex further from the edge's middle than this many radii of its neighbourhood is not
+/// believed: nearly parallel planes meet anywhere.
+const MAX_RADII: f64 = 2.0;
+
+/// The place and the price of a collapse.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Placement {
+    /// Where the vertex goes, model space.
+    pub to: DVec3,
+    /// f_C = λ Σ V² + (1 − λ) L² Σ a² (equation 11), length units to the sixth.
+    pub cost: f64,
+}
+
+/// Memory that evaluations reuse, so that they allocate nothing.
+#[derive(Clone, Debug, Default)]
+pub struct Scratch {
+    ring: Vec<VertexId>,
+}
+
+/// The placement for collapsing the edge (a, b), whether or not that is legal. `None` if the two
+/// share no triangle.
+///
+/// Coincident ends collapse in place at no cost.
+#[inline]
+pub fn placement(
+    mesh: &EditMesh,
+    a: VertexId,
+    b: VertexId,
+    params: &Params,
+    scratch: &mut Scratch,
+) -> Option<Placement> {
+    let Some(around) = gather(mesh, a, b) else {
+        let exists = !mesh.edge_faces(a, b).is_empty();
+        return exists.then(|| Placement { to: mesh.position(a), cost: 0.0 });
+    };
+    let cost = cost_function(&around, params.lambda);
+    let mut neighbourhood = Neighbourhood { mesh, ends: [a, b], around: &around, scratch };
+    let x = neighbourhood.place(&cost, params);
+    let length6 = around.length.powi(6);
+    Some(Placement { to: around.middle + x * around.length, cost: cost.value(x) * length6 })
+}
+
+/// f_C in the edge's frame, where L = 1.
+#[inline]
+fn cost_function(around: &Surroundings, lambda: f64) -> Quadratic {
+    match &around.boundary {
+        None => around.volume * lambda,
+        Some(boundary) => around.volume * lambda + boundary.optimisation * (1.0 - lambda),
+    }
+}
+
+/// An edge, its sums, and its ring where that is needed after all.
+struct Neighbourhood<'a> {
+    mesh: &'a EditMesh,
+    ends: [VertexId; 2],
+    around: &'a Surroundings,
+    scratch: &'a mut Scratch,
+}
+
+impl Neighbourhood<'_> {
+    /// The position in the edge's frame.
+    #[inline]
+    fn place(&mut self, cost: &Quadratic, params: &Params) -> DVec3 {
+        let keeps_volume = params.scheme.keeps_volume;
+        let start = match params.scheme.start {
+            Start::Optimum => self.optimum(cost, keeps_volume),
+            Start::Midpoint => self.project(DVec3::ZERO, keeps_volume),
+            Start::RandomEnd => self.project(self.random_end(params.seed), keeps_volume),
+            Start::BetterEnd => self.project(self.better_end(cost), keeps_volume),
+        };
+        let is_believable = |&x: &DVec3| self.is_near(x);
+        if let Some(x) = start.filter(is_believable) {
+            return x;
+        }
+        // The nearest point that keeps the volume, if even that is near; else the middle.
+        let fallback = self.project(DVec3::ZERO, keeps_volume);
+        fallback.filter(|&x| self.is_near(x)).unwrap_or(DVec3::ZERO)
+    }
+
+    /// Constraints in the paper's order: volume and boundary preservation, cost, shape.
+    #[inline]
+    fn optimum(&mut self, cost: &Quadratic, keeps_volume: bool) -> Option<DVec3> {
+        let mut constraints = Constraints::default();
+        if keeps_volume {
+            let around = self.around;
+            constraints.add(around.normal, around.offset, around.normal2.sqrt());
+        }
+        if let Some(boundary) = &self.around.boundary {
+            constraints.minimise(&boundary.preservation);
+        }
+        constraints.minimise(cost);
+        if !constraints.is_full() {
+            constraints.minimise(&self.shape());
+        }
+        constraints.solve()
+    }
+
+    /// The point nearest to `x` that keeps the volume: `x` itself where any does.
+    #[inline]
+    fn project(&self, x: DVec3, keeps_volume: bool) -> Option<DVec3> {
+        let Surroundings { normal, offset, normal2, .. } = *self.around;
+        let length2 = normal.length_squared();
+        if !keeps_volume || length2 <= 1e-20 * normal2 {
+            return Some(x);
+        }
+        let x = x + normal * ((offset - normal.dot(x)) / length2);
+        x.is_finite().then_some(x)
+    }
+
+    fn better_end(&self, cost: &Quadratic) -> DVec3 {
+        let h = self.around.h;
+        if cost.value(-h) <= cost.value(h) { -h } else { h }
+    }
+
+    fn random_end(&self, seed: u64) -> DVec3 {
+        let [a, b] = self.ends.map(|v| u64::from(v.0));
+        let mut bits = seed ^ (a.min(b) << 32 | a.max(b));
+        for _ in 0..2 {
+            bits = (bits ^ (bits >> 31)).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        }
+        if (bits >> 63 == 0) == (a < b) { -self.around.h } else { self.around.h }
+    }
+
+    /// Σ |x − xᵢ|² over the ring (equation 10).
+    #[cold]
+    fn shape(&mut self) -> Quadratic {
+        self.find_ring();
+        let (mut n, mut sum) = (0.0, DVec3::ZERO);
+        for i in 0..self.scratch.ring.len() {
+            sum += self.local(self.scratch.ring[i]);
+            n += 1.0;
+        }
+        Quadratic { a: Symmetric::scaled_identity(2.0 * n), b: sum * 2.0, c: 0.0 }
+    }
+
+    /// Whether a position is within reach of the neighbourhood.
+    #[inline]
+    fn is_near(&self, x: DVec3) -> bool {
+        // The ends belong to the neighbourhood, so its radius is at least ½.
+        let distance2 = x.length_squared();
+        distance2 <= 0.25 * MAX_RADII * MAX_RADII || self.is_within_reach(distance2)
+    }
+
+    #[cold]
+    fn is_within_reach(&self, distance2: f64) -> bool {
+        let reaches = |&face: &FaceId| {
+            let vertices = self.mesh.vertices_of(face);
+            let radius2 = vertices.map(|v| self.local(v).length_squared());
+            radius2.iter().any(|r| r * MAX_RADII * MAX_RADII >= distance2)
+        };
+        self.ends.iter().any(|&end| self.mesh.faces_around(end).iter().any(reaches))
+    }
+
+    fn local(&self, vertex: VertexId) -> DVec3 {
+        (self.mesh.position(vertex) - self.around.middle) / self.around.length
+    }
+
+    /// The vertices that share a triangle with an end, the ends left out.
+    fn find_ring(&mut self) {
+        let ring = &mut self.scratch.ring;
+        ring.clear();
+        for end in self.ends {
+            for &face in self.mesh.faces_around(end) {
+                let vertices = self.mesh.vertices_of(face).into_iter();
+                ring.extend(vertices.filter(|v| !self.ends.contains(v)));
+            }
+        }
+        ring.sort_unstable();
+        ring.dedup();
+    }
+}
+
+/// Whether collapsing (a, b) to `to` would turn a surviving triangle by more than the angle with
+/// cosine `min_cos`, or flatten it to nothing. Triangles without area may turn as they like.
+pub fn turns_too_far(mesh: &EditMesh, [a, b]: [VertexId; 2], to: DVec3, min_cos: f64) -> bool {
+    let turns = |face: &FaceId, end: VertexId, other: VertexId| {
+        let vertices = mesh.vertices_of(*face);
+        if vertices.contains(&other) {
+            return false;
+        }
+        let before = mesh.area_normal(*face);
+        let [p0, p1, p2] = vertices.map(|v| if v == end { to } else { mesh.position(v) });
+        let after = (p1 - p0).cross(p2 - p0);
+        // Scaled first: squares of huge or tiny areas would leave the range of f64.
+        let size = before.abs().max_element();
+        let (before, after) = (before / size, after / size);
+        let limit2 = min_cos * min_cos.abs() * before.length_squared() * after.length_squared();
+        let dot = before.dot(after);
+        size > 0.0 && dot * dot.abs() <= limit2
+    };
+    [(a, b), (b, a)].into_iter().any(|(end, other)| {
+        min_cos > -1.0 && mesh.faces_around(end).iter().any(|f| turns(f, end, other))
+    })
+}

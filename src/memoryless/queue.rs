@@ -1,0 +1,130 @@
+//! The edge queue: a min-heap with four children per node, one 64-bit word per entry.
+//!
+//! The upper half of a word is the cost, to 21 bits of mantissa, the lower half the edge; so the
+//! order is by cost, then by edge id, and the same on every machine.
+//!
+//! Knows nothing of edges that died or changed: the driver sorts that out when they come up.
+
+use crate::mesh::EdgeId;
+
+const N_CHILDREN: usize = 4;
+
+/// An edge and its cost, ordered by cost, then by id.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Entry(u64);
+
+impl Entry {
+    /// `cost` is not negative; NaN goes last.
+    #[inline]
+    pub(super) fn new(cost: f64, edge: EdgeId) -> Self {
+        // The bits of non-negative floats are ordered as their values; the sign bit is spare.
+        let key = cost.abs().to_bits() >> 31;
+        Self(key << 32 | u64::from(edge.0))
+    }
+
+    pub(super) fn edge(self) -> EdgeId {
+        EdgeId(self.0 as u32)
+    }
+}
+
+/// Entries, cheapest first.
+#[derive(Clone, Debug)]
+pub(super) struct Queue(Vec<Entry>);
+
+impl Queue {
+    /// A queue of the given entries. O(n).
+    pub(super) fn new(entries: Vec<Entry>) -> Self {
+        let mut queue = Self(entries);
+        for at in (0..queue.0.len().div_ceil(N_CHILDREN)).rev() {
+            queue.sink(at);
+        }
+        queue
+    }
+
+    /// The cheapest entry.
+    #[inline]
+    pub(super) fn peek(&self) -> Option<Entry> {
+        self.0.first().copied()
+    }
+
+    /// Takes the cheapest entry out.
+    pub(super) fn pop(&mut self) -> Option<Entry> {
+        let cheapest = self.peek()?;
+        let last = self.0.pop()?;
+        if let Some(root) = self.0.first_mut() {
+            *root = last;
+            self.sink(0);
+        }
+        Some(cheapest)
+    }
+
+    /// Exchanges the cheapest entry for another one.
+    pub(super) fn replace_top(&mut self, entry: Entry) {
+        if let Some(root) = self.0.first_mut() {
+            *root = entry;
+            self.sink(0);
+        }
+    }
+
+    /// Adds an entry.
+    pub(super) fn push(&mut self, entry: Entry) {
+        let mut at = self.0.len();
+        self.0.push(entry);
+        while at > 0 {
+            let parent = (at - 1) / N_CHILDREN;
+            if self.0[parent] <= entry {
+                break;
+            }
+            self.0[at] = self.0[parent];
+            at = parent;
+        }
+        self.0[at] = entry;
+    }
+
+    #[inline]
+    fn sink(&mut self, mut at: usize) {
+        let Some(&entry) = self.0.get(at) else { return };
+        loop {
+            let first = at * N_CHILDREN + 1;
+            let end = (first + N_CHILDREN).min(self.0.len());
+            let Some(children) = self.0.get(first..end) else { break };
+            let Some((k, &least)) = children.iter().enumerate().min_by_key(|&(_, e)| e) else {
+                break;
+            };
+            if entry <= least {
+                break;
+            }
+            self.0[at] = least;
+            at = first + k;
+        }
+        self.0[at] = entry;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn entries_leave_by_cost_then_id() {
+        let costs = [3.0, 0.0, f64::MAX, 1e-300, 3.0, 1e300, 0.0, 7.0, f64::NAN];
+        let entry = |(i, &cost): (usize, &f64)| Entry::new(cost, EdgeId(i as u32));
+        let mut queue = Queue::new(costs.iter().enumerate().map(entry).collect());
+        queue.push(Entry::new(2.0, EdgeId(100)));
+        queue.push(Entry::new(-0.0, EdgeId(101)));
+        let order: Vec<u32> = std::iter::from_fn(|| queue.pop()).map(|e| e.edge().0).collect();
+        assert_eq!(order, [1, 6, 101, 3, 100, 0, 4, 7, 5, 2, 8]);
+    }
+
+    #[test]
+    fn many_entries_come_out_sorted() {
+        let mut queue = Queue::new(Vec::new());
+        for i in 0..1000u32 {
+            queue.push(Entry::new(f64::from(i.wrapping_mul(2_654_435_761) >> 12), EdgeId(i)));
+        }
+        queue.replace_top(Entry::new(5e5, EdgeId(2000)));
+        let out: Vec<Entry> = std::iter::from_fn(|| queue.pop()).collect();
+        assert_eq!(out.len(), 1000);
+        assert!(out.is_sorted());
+    }
+}

@@ -1,0 +1,198 @@
+//! Which edges may be collapsed (Hoppe et al. 1993, section 4.1, as a table).
+//!
+//! Border here means: some edge at the vertex has not exactly two triangles. Non-manifold edges
+//! therefore act as borders of the sheets that meet there, and are never collapsed themselves.
+//!
+//! Knows nothing of geometry: flips are the caller's to judge.
+
+use super::edit_mesh::EditMesh;
+use super::model::VertexId;
+
+/// What stands against collapsing an edge, or that nothing does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Legality {
+    /// Collapsing it keeps the topology.
+    Legal,
+    /// The two vertices share no triangle.
+    NoEdge,
+    /// More than two triangles share the edge.
+    NonManifoldEdge,
+    /// Its two triangles have the same third vertex: a degenerate volume.
+    FoldedPair,
+    /// A vertex adjacent to both ends forms no triangle with the edge.
+    LinkVertex,
+    /// Both ends lie on a border but the edge is interior: two borders would touch.
+    BorderBridge,
+    /// The part is as small as it may get: a tetrahedron, or a lone triangle.
+    TooSmall,
+    /// An edge opposite to both ends: two triangles would fall onto each other.
+    LinkEdge,
+}
+
+/// Whether an edit must keep the topology.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Topology {
+    /// Only collapses whose [`Legality`] is `Legal`.
+    #[default]
+    Preserve,
+    /// Any edge that exists.
+    Free,
+}
+
+impl Topology {
+    /// Whether a collapse with this finding may go ahead.
+    pub fn permits(self, legality: Legality) -> bool {
+        match self {
+            Self::Preserve => legality == Legality::Legal,
+            Self::Free => legality != Legality::NoEdge,
+        }
+    }
+}
+
+/// What the rules look at.
+struct Facts {
+    /// Triangles that hold both ends.
+    n_faces: usize,
+    /// Different third vertices of those triangles.
+    n_apexes: usize,
+    /// Vertices adjacent to both ends.
+    n_common: usize,
+    /// Ends that lie on a border.
+    n_border_ends: usize,
+    /// Vertices adjacent to an end, the ends included.
+    n_vertices: usize,
+    /// Whether each end has a triangle with both apexes of an interior edge.
+    apexes_joined_twice: bool,
+}
+
+/// Whether an obstacle is present.
+type Test = fn(&Facts) -> bool;
+
+/// The obstacles; the first that is present decides.
+const OBSTACLES: [(Legality, Test); 7] = [
+    (Legality::NoEdge, |f| f.n_faces == 0),
+    (Legality::NonManifoldEdge, |f| f.n_faces > 2),
+    (Legality::FoldedPair, |f| f.n_apexes < f.n_faces),
+    (Legality::LinkVertex, |f| f.n_common > f.n_apexes),
+    (Legality::BorderBridge, |f| f.n_border_ends == 2 && f.n_faces == 2),
+    (Legality::TooSmall, |f| f.n_vertices <= if f.n_border_ends == 0 { 4 } else { 3 }),
+    (Legality::LinkEdge, |f| f.apexes_joined_twice),
+];
+
+impl EditMesh {
+    /// Whether the edge (a, b) may be collapsed without changing the topology, and if not, why.
+    pub fn legality(&self, a: VertexId, b: VertexId) -> Legality {
+        let facts = self.facts(a, b);
+        let found = OBSTACLES.iter().find(|(_, is_present)| is_present(&facts));
+        found.map_or(Legality::Legal, |&(obstacle, _)| obstacle)
+    }
+
+    /// Whether collapsing the edge (a, b) is allowed under the given switch.
+    pub fn may_collapse(&self, a: VertexId, b: VertexId, topology: Topology) -> bool {
+        match topology {
+            Topology::Preserve => self.legality(a, b) == Legality::Legal,
+            Topology::Free => !self.edge_faces(a, b).is_empty(),
+        }
+    }
+
+    fn facts(&self, a: VertexId, b: VertexId) -> Facts {
+        let faces = self.edge_faces(a, b);
+        let apex = |&f: &_| self.vertices_of(f).into_iter().find(|&v| v != a && v != b);
+        let mut apexes: smallvec::SmallVec<[VertexId; 2]> = faces.iter().filter_map(apex).collect();
+        apexes.sort_unstable();
+        apexes.dedup();
+        let rings = [self.ring(a), self.ring(b)];
+        let is_border = |ring: &[(VertexId, u32)]| ring.iter().any(|&(_, n)| n != 2);
+        let n_common = n_common(&rings[0], &rings[1]);
+        Facts {
+            n_faces: faces.len(),
+            n_apexes: apexes.len(),
+            n_common,
+            n_border_ends: rings.iter().filter(|ring| is_border(ring)).count(),
+            n_vertices: rings[0].len() + rings[1].len() - n_common,
+            apexes_joined_twice: match apexes[..] {
+                [c, d] => [a, b].iter().all(|&end| self.has_face(end, c, d)),
+                _ => false,
+            },
+        }
+    }
+
+    /// Whether some living triangle has these three vertices.
+    fn has_face(&self, a: VertexId, b: VertexId, c: VertexId) -> bool {
+        self.faces_around(a).iter().any(|&f| {
+            let vertices = self.vertices_of(f);
+            vertices.contains(&b) && vertices.contains(&c)
+        })
+    }
+}
+
+/// Vertices that two ascending rings share.
+fn n_common(a: &[(VertexId, u32)], b: &[(VertexId, u32)]) -> usize {
+    let (mut i, mut j, mut n) = (0, 0, 0);
+    while let (Some(&(x, _)), Some(&(y, _))) = (a.get(i), b.get(j)) {
+        n += usize::from(x == y);
+        i += usize::from(x <= y);
+        j += usize::from(y <= x);
+    }
+    n
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+    use crate::mesh::Mesh;
+
+    /// Legality of (a, b) in a mesh given by its triangles alone.
+    fn legality(faces: &[[u32; 3]], a: u32, b: u32) -> Legality {
+        let n = faces.iter().flatten().max().map_or(0, |&v| v + 1);
+        let positions = (0..n).map(|i| DVec3::splat(f64::from(i))).collect();
+        let mesh = EditMesh::new(Mesh::from_parts(positions, faces.to_vec())).unwrap();
+        mesh.legality(VertexId(a), VertexId(b))
+    }
+
+    const TETRAHEDRON: [[u32; 3]; 4] = [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]];
+    /// Two fans of four around 0 and 5: an octahedron.
+    const OCTAHEDRON: [[u32; 3]; 8] =
+        [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 1], [5, 2, 1], [5, 3, 2], [5, 4, 3], [5, 1, 4]];
+
+    #[test]
+    fn closed_parts_stop_at_the_tetrahedron() {
+        assert_eq!(legality(&OCTAHEDRON, 0, 1), Legality::Legal);
+        assert_eq!(legality(&TETRAHEDRON, 0, 1), Legality::TooSmall);
+    }
+
+    #[test]
+    fn open_parts_stop_at_the_triangle() {
+        assert_eq!(legality(&[[0, 1, 2]], 0, 1), Legality::TooSmall);
+        // Two triangles: an outer edge may go, the diagonal would join two borders.
+        let pair = [[0, 1, 2], [0, 2, 3]];
+        assert_eq!(legality(&pair, 0, 1), Legality::Legal);
+        assert_eq!(legality(&pair, 0, 2), Legality::BorderBridge);
+        assert_eq!(legality(&pair, 1, 3), Legality::NoEdge);
+    }
+
+    #[test]
+    fn soup_is_refused_by_name() {
+        let fin = [[0, 1, 2], [1, 0, 3], [0, 1, 4]];
+        assert_eq!(legality(&fin, 0, 1), Legality::NonManifoldEdge);
+        // The same three vertices twice, once each way round: a volume of nothing.
+        assert_eq!(legality(&[[0, 1, 2], [0, 2, 1]], 0, 1), Legality::FoldedPair);
+        // A ring of three quads, a tube: edge 0-1 belongs to a hole with third vertex 2.
+        let tube = [[0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4], [2, 0, 3], [2, 3, 5]];
+        assert_eq!(legality(&tube, 0, 1), Legality::LinkVertex);
+        // A tetrahedron whose edge 0-1 ends in a second sheet at vertex 0: more than four
+        // vertices, but 2-3 is opposite to both ends.
+        let mut pinched = TETRAHEDRON.to_vec();
+        pinched.extend([[0, 4, 5], [0, 5, 6], [0, 6, 4], [4, 6, 5]]);
+        assert_eq!(legality(&pinched, 0, 1), Legality::LinkEdge);
+    }
+
+    #[test]
+    fn free_topology_takes_every_edge_that_exists() {
+        assert!(Topology::Free.permits(Legality::NonManifoldEdge));
+        assert!(!Topology::Free.permits(Legality::NoEdge));
+        assert!(!Topology::Preserve.permits(Legality::TooSmall));
+    }
+}

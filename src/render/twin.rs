@@ -1,0 +1,248 @@
+//! The native twin: the evaluator's specification in Rust, fast enough to serve CPU nodes.
+//!
+//! One move in one view: bound the pixels it can touch; if everything there is nearer than the
+//! move, stop (true of half the views: the surface's far side); raster the added triangles into a
+//! small buffer, eight pixels at a time; then compare, pixel by pixel, the nearest fragment that
+//! stays with the nearest that comes. A batch goes view by view, so that one view's fronts stay in
+//! cache while every move is judged in it.
+
+use rayon::prelude::*;
+
+use super::{
+    evaluator::{Evaluator, Reference, RenderError},
+    fragments::{Cell, FragmentLists, TILE},
+    lattice::{LUM_BITS, PixelRect, Setup},
+    moves::{Move, Projected},
+    raster,
+    scene::Scene,
+    simd,
+};
+
+/// The native evaluator.
+pub struct Twin {
+    views: Vec<FragmentLists>,
+    reference: Reference,
+    energy: u64,
+    n_face_slots: usize,
+    /// Moves of the last batch in every picture; kept for its memory.
+    projected: Vec<Projected>,
+}
+
+impl Twin {
+    /// Renders the scene and gets ready to judge moves.
+    pub fn new(scene: &Scene, reference: Reference) -> Self {
+        let views: Vec<_> =
+            (0..scene.n_views()).into_par_iter().map(|v| build_lists(scene, v)).collect();
+        let pictures: Vec<_> = views.iter().map(FragmentLists::picture).collect();
+        let energy = raster::energy(&reference, &pictures);
+        let n_face_slots = scene.faces.len();
+        Self { views, reference, energy, n_face_slots, projected: Vec::new() }
+    }
+}
+
+/// An id above every triangle's, for the background: slots are 32-bit, this one is never used.
+const NO_FACE: u32 = u32::MAX - 1;
+
+fn build_lists(scene: &Scene, view: usize) -> FragmentLists {
+    let size = scene.lattice.size;
+    let mut lists = FragmentLists::new(size, scene.params.background, NO_FACE);
+    raster::for_each_fragment(scene, view, &mut |pixel, f| lists.insert(pixel, f));
+    lists.refresh_tiles((0, size - 1), (0, size - 1));
+    lists
+}
+
+impl Evaluator for Twin {
+    fn name(&self) -> String {
+        "native".into()
+    }
+
+    fn evaluate(&mut self, scene: &Scene, moves: &[Move]) -> Result<Vec<i64>, RenderError> {
+        self.projected.resize_with(moves.len().max(self.projected.len()), Projected::default);
+        let projected = &mut self.projected[..moves.len()];
+        projected.par_iter_mut().zip(moves).with_min_len(8).for_each(|(p, mv)| p.fill(scene, mv));
+        let (views, projected) = (&self.views, &self.projected);
+        let (reference, slots) = (&self.reference, self.n_face_slots);
+        let by_view: Vec<Vec<i64>> = views
+            .par_iter()
+            .enumerate()
+            .map_init(
+                || Scratch::new(slots),
+                |scratch, (view, lists)| {
+                    let picture = &reference.pictures[view];
+                    let mut judge = Judge { scene, view, lists, picture, scratch };
+                    moves.iter().zip(projected).map(|(mv, p)| judge.delta(mv, p)).collect()
+                },
+            )
+            .collect();
+        Ok((0..moves.len()).map(|m| by_view.iter().map(|v| v[m]).sum()).collect())
+    }
+
+    fn commit(&mut self, scene: &mut Scene, mv: &Move) -> Result<i64, RenderError> {
+        let added_slots = mv.added.iter().map(|a| a.face as usize + 1).max().unwrap_or(0);
+        if added_slots > scene.faces.len() {
+            scene.faces.resize(added_slots, None);
+        }
+        self.n_face_slots = scene.faces.len();
+        let delta = self.evaluate(scene, std::slice::from_ref(mv))?[0];
+        let projected = &self.projected[0];
+        let shown = &*scene;
+        self.views.par_iter_mut().enumerate().with_min_len(5).for_each(|(view, lists)| {
+            update_view(shown, mv, projected, view, lists);
+        });
+        self.energy = self.energy.saturating_add_signed(delta);
+        scene.apply(mv);
+        Ok(delta)
+    }
+
+    fn energy(&self) -> u64 {
+        self.energy
+    }
+
+    fn picture(&mut self, _scene: &Scene, view: usize) -> Result<Vec<u8>, RenderError> {
+        Ok(self.views[view].picture())
+    }
+}
+
+/// Replaces the fragments of the removed triangles by those of the added ones.
+fn update_view(
+    scene: &Scene,
+    mv: &Move,
+    projected: &Projected,
+    view: usize,
+    lists: &mut FragmentLists,
+) {
+    let (rect, _) = projected.extent(&scene.lattice, view);
+    if rect.is_empty() {
+        return;
+    }
+    let (size, cull) = (scene.lattice.size, scene.culls_front(view));
+    for &id in &mv.removed {
+        let Some(face) = &scene.faces[id as usize] else { continue };
+        let points = face.vertices.map(|v| scene.screen_points(v)[view]);
+        // Where it was drawn does not depend on its luminance.
+        if let Some(s) = scene.lattice.setup(points, [0; 3], cull) {
+            raster::for_each_pixel(&s, |i, j| lists.remove((j * size + i) as usize, id));
+        }
+    }
+    for (k, added) in mv.added.iter().enumerate() {
+        let points = projected.added_points(k, view);
+        let lum = projected.added_luminance(scene, mv, k, view);
+        if let Some(s) = scene.lattice.setup(points, lum, cull) {
+            raster::for_each_pixel(&s, |i, j| {
+                lists.insert((j * size + i) as usize, raster::fragment(&s, added.face, i, j));
+            });
+        }
+    }
+    lists.refresh_tiles((rect.x0, rect.x1), (rect.y0, rect.y1));
+}
+
+/// Working memory of one thread.
+struct Scratch {
+    setups: Vec<(u32, Setup)>,
+    /// `z << 16 | rank` of the nearest added fragment of each pixel of the rectangle.
+    nearest: Vec<u32>,
+    /// `marks[face] == serial` for the triangles of the current move that go.
+    marks: Vec<u32>,
+    serial: u32,
+}
+
+impl Scratch {
+    fn new(n_face_slots: usize) -> Self {
+        Self { setups: Vec::new(), nearest: Vec::new(), marks: vec![0; n_face_slots], serial: 0 }
+    }
+}
+
+/// Judges moves in one view.
+struct Judge<'a> {
+    scene: &'a Scene,
+    view: usize,
+    lists: &'a FragmentLists,
+    picture: &'a [u8],
+    scratch: &'a mut Scratch,
+}
+
+impl Judge<'_> {
+    /// The change of energy of one move in this view.
+    fn delta(&mut self, mv: &Move, projected: &Projected) -> i64 {
+        let (scene, view) = (self.scene, self.view);
+        let (rect, nearest_z) = projected.extent(&scene.lattice, view);
+        if rect.is_empty() || is_hidden(self.lists, &rect, u32::from(nearest_z)) {
+            return 0;
+        }
+        let scratch = &mut *self.scratch;
+        scratch.serial += 1;
+        for f in &mv.removed {
+            scratch.marks[*f as usize] = scratch.serial;
+        }
+        scratch.setups.clear();
+        for (k, added) in mv.added.iter().enumerate() {
+            let points = projected.added_points(k, view);
+            let lum = projected.added_luminance(scene, mv, k, view);
+            if let Some(setup) = scene.lattice.setup(points, lum, scene.culls_front(view)) {
+                scratch.setups.push((added.face, setup));
+            }
+        }
+        // Ranks follow ids, so that the lesser id wins a tie in depth.
+        scratch.setups.sort_unstable_by_key(|s| s.0);
+        let stride = simd::raster(&scratch.setups, &rect, &mut scratch.nearest);
+        self.resolve(&rect, stride)
+    }
+
+    /// Compares what stays with what comes, pixel by pixel.
+    fn resolve(&self, rect: &PixelRect, stride: usize) -> i64 {
+        let size = self.scene.lattice.size;
+        let mut sum = 0_i64;
+        for j in rect.y0..=rect.y1 {
+            let fronts = self.lists.row(j, rect.x0, rect.x1);
+            let first = (j * size + rect.x0) as usize;
+            let reference = &self.picture[first..first + fronts.len()];
+            let coming = &self.scratch.nearest[(j - rect.y0) as usize * stride..][..fronts.len()];
+            for (i, ((front, &r), &key)) in fronts.iter().zip(reference).zip(coming).enumerate() {
+                let stays = self.stays(front.face);
+                if stays && (key == u32::MAX || key >> 16 > front.z()) {
+                    continue;
+                }
+                let lum = self.new_luminance(front, stays, key, (rect.x0 + i as i32, j), first + i);
+                let square = |l: u8| (i32::from(l) - i32::from(r)).pow(2);
+                sum += i64::from(square(lum) - square(front.lum()));
+            }
+        }
+        sum
+    }
+
+    /// The luminance of a pixel after the move.
+    #[inline(always)]
+    fn new_luminance(
+        &self,
+        front: &Cell,
+        stays: bool,
+        key: u32,
+        (i, j): (i32, i32),
+        pixel: usize,
+    ) -> u8 {
+        let stay =
+            if stays { *front } else { self.lists.nearest_behind(pixel, |f| self.stays(f)) };
+        if key != u32::MAX {
+            let (face, setup) = &self.scratch.setups[(key & 0xffff) as usize];
+            if (key >> 16, *face) < (stay.z(), stay.face) {
+                return setup.lum.at(i, j, LUM_BITS) as u8;
+            }
+        }
+        stay.lum()
+    }
+
+    /// Whether a triangle survives the move (the background does).
+    #[inline(always)]
+    fn stays(&self, face: u32) -> bool {
+        self.scratch.marks.get(face as usize).is_none_or(|m| *m != self.scratch.serial)
+    }
+}
+
+/// Whether everything in the rectangle is nearer than `z`.
+#[inline(always)]
+fn is_hidden(lists: &FragmentLists, rect: &PixelRect, z: u32) -> bool {
+    let tiles = lists.tiles();
+    (rect.y0 / TILE..=rect.y1 / TILE).all(|ty| {
+        (rect.x0 / TILE..=rect.x1 / TILE).all(|tx| lists.far((ty * tiles + tx) as usize) < z)
+    })
+}
