@@ -206,3 +206,6 @@ fn is_alive(lock: &Path) -> Option<bool> {
     let file = File::open(lock).ok()?;
     Some(matches!(file.try_lock(), Err(TryLockError::WouldBlock)))
 }
+
+#[cfg(test)]
+mod tests;
