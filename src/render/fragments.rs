@@ -3,20 +3,19 @@
 //! Invariants:
 //! 1. `front[p]` is the nearest fragment of pixel p, or the background (face = `no_face`);
 //! 2. the rest follow through `next` in ascending (z, face) order and end at `NIL`;
-//! 3. `far[t]` is at least the greatest front depth in tile t (8 × 8 pixels); background counts as
-//!    65,536. A move whose nearest vertex lies beyond every tile it touches changes nothing.
+//! 3. `bounds` are up to date with the fronts.
 //!
 //! Lists have no fixed depth, so a deep assembly costs memory, never correctness: 12 bytes for a
 //! pixel and 12 for every fragment behind the front.
 
-use super::raster::Fragment;
+use super::{
+    lattice::PixelRect,
+    raster::Fragment,
+    tiles::{BACKGROUND_Z, TileBounds},
+};
 
 /// End of a list.
 const NIL: u32 = u32::MAX;
-/// Pixels along a tile's side.
-pub const TILE: i32 = 8;
-/// Depth of the background, beyond every fragment.
-const BACKGROUND_Z: u32 = 1 << 16;
 
 /// A fragment and the one behind it.
 #[derive(Clone, Copy, Debug)]
@@ -51,7 +50,7 @@ pub struct FragmentLists {
     front: Vec<Node>,
     pool: Vec<Node>,
     free: u32,
-    far: Vec<u32>,
+    bounds: TileBounds,
     size: i32,
     background: Node,
 }
@@ -59,29 +58,25 @@ pub struct FragmentLists {
 impl FragmentLists {
     /// Lists of an empty picture. `no_face` is an id above every triangle's.
     pub fn new(size: i32, background_lum: u8, no_face: u32) -> Self {
-        let background =
-            Node { depth_lum: BACKGROUND_Z << 8 | u32::from(background_lum), face: no_face, next: NIL };
-        let tiles = (size + TILE - 1) / TILE;
+        let background = Node {
+            depth_lum: BACKGROUND_Z << 8 | u32::from(background_lum),
+            face: no_face,
+            next: NIL,
+        };
         Self {
             front: vec![background; (size * size) as usize],
             pool: Vec::new(),
             free: NIL,
-            far: vec![BACKGROUND_Z; (tiles * tiles) as usize],
+            bounds: TileBounds::new(size),
             size,
             background,
         }
     }
 
-    /// Tiles along a side.
+    /// Upper bounds of the front depths.
     #[inline(always)]
-    pub fn tiles(&self) -> i32 {
-        (self.size + TILE - 1) / TILE
-    }
-
-    /// Upper bound of the front depths in a tile.
-    #[inline(always)]
-    pub fn far(&self, tile: usize) -> u32 {
-        self.far[tile]
+    pub fn bounds(&self) -> &TileBounds {
+        &self.bounds
     }
 
     /// The fronts of pixels `x0..=x1` of row `y`.
@@ -107,11 +102,8 @@ impl FragmentLists {
 
     /// Enters a fragment at its place.
     pub fn insert(&mut self, pixel: usize, f: Fragment) {
-        let new = Node {
-            depth_lum: u32::from(f.z) << 8 | u32::from(f.lum),
-            face: f.face,
-            next: NIL,
-        };
+        let new =
+            Node { depth_lum: u32::from(f.z) << 8 | u32::from(f.lum), face: f.face, next: NIL };
         let front = self.front[pixel];
         if front.face == self.background.face {
             self.front[pixel] = new;
@@ -170,20 +162,12 @@ impl FragmentLists {
         }
     }
 
-    /// Recomputes the depth bounds of the tiles that touch the given rows and columns.
-    pub fn refresh_tiles(&mut self, x: (i32, i32), y: (i32, i32)) {
-        for ty in y.0 / TILE..=y.1 / TILE {
-            for tx in x.0 / TILE..=x.1 / TILE {
-                let rows = ty * TILE..((ty + 1) * TILE).min(self.size);
-                let last = ((tx + 1) * TILE).min(self.size) - 1;
-                let far = rows
-                    .flat_map(|row| self.row(row, tx * TILE, last))
-                    .map(Node::z)
-                    .max()
-                    .unwrap_or(BACKGROUND_Z);
-                let tile = ty * self.tiles() + tx;
-                self.far[tile as usize] = far;
-            }
+    /// Recomputes the depth bounds of the tiles that touch the rectangle.
+    pub fn refresh_tiles(&mut self, rect: &PixelRect) {
+        for tile in self.bounds.touched(rect) {
+            let far = (tile.y0..=tile.y1).flat_map(|y| self.row(y, tile.x0, tile.x1)).map(Node::z);
+            let far = far.max().unwrap_or(BACKGROUND_Z);
+            self.bounds.set(&tile, far);
         }
     }
 

@@ -4,13 +4,16 @@
 
 #[cfg(test)]
 mod contract;
+mod device;
 mod evaluator;
 mod fragments;
+mod gpu;
 pub mod lattice;
 mod moves;
 mod raster;
 mod scene;
 mod simd;
+mod tiles;
 mod twin;
 pub mod view;
 

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::{
     evaluator::{Evaluator, Reference, RenderError},
-    fragments::{FragmentLists, TILE},
+    fragments::FragmentLists,
     lattice::{DEPTH_BITS, LUM_BITS, PixelRect, Setup},
     moves::{Move, Projected},
     raster::{self, Fragment},
@@ -44,7 +44,7 @@ fn build_lists(scene: &Scene, view: usize) -> FragmentLists {
     let size = scene.lattice.size;
     let mut lists = FragmentLists::new(size, scene.params.background, NO_FACE);
     raster::for_each_fragment(scene, view, &mut |pixel, f| lists.insert(pixel, f));
-    lists.refresh_tiles((0, size - 1), (0, size - 1));
+    lists.refresh_tiles(&PixelRect { x0: 0, y0: 0, x1: size - 1, y1: size - 1 });
     lists
 }
 
@@ -125,7 +125,7 @@ fn update_view(
             }
         }
     }
-    lists.refresh_tiles((rect.x0, rect.x1), (rect.y0, rect.y1));
+    lists.refresh_tiles(&rect);
 }
 
 /// Working memory of one thread.
@@ -165,7 +165,7 @@ impl Twin {
     fn delta_in_view(&self, scene: &Scene, mv: &Move, view: usize, scratch: &mut Scratch) -> i64 {
         let lists = &self.views[view];
         let (rect, nearest_z) = scratch.projected.extent(&scene.lattice, view);
-        if rect.is_empty() || is_hidden(lists, &rect, u32::from(nearest_z)) {
+        if rect.is_empty() || lists.bounds().hides(&rect, u32::from(nearest_z)) {
             return 0;
         }
         let cull = scene.culls_front(view);
@@ -214,13 +214,4 @@ impl Twin {
         }
         sum
     }
-}
-
-/// Whether everything in the rectangle is nearer than `z`.
-#[inline(always)]
-fn is_hidden(lists: &FragmentLists, rect: &PixelRect, z: u32) -> bool {
-    let tiles = lists.tiles();
-    (rect.y0 / TILE..=rect.y1 / TILE).all(|ty| {
-        (rect.x0 / TILE..=rect.x1 / TILE).all(|tx| lists.far((ty * tiles + tx) as usize) < z)
-    })
 }
