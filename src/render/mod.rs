@@ -2,6 +2,7 @@
 //!
 //! Knows nothing of edge queues, jobs or files.
 
+mod choose;
 #[cfg(test)]
 mod contract;
 mod device;
@@ -17,6 +18,8 @@ mod tiles;
 mod twin;
 pub mod view;
 
+pub use choose::{Choice, choose, make_evaluator};
+pub use device::{AdapterInfo, adapters};
 pub use evaluator::{Evaluator, Reference, RenderError};
 pub use moves::{AddedFace, MAX_MOVE_VERTICES, Move};
 pub use raster::{energy, picture, reference};
