@@ -138,7 +138,11 @@ pub fn collapse_move(scene: &Scene, keep: u32, drop: u32, to: DVec3) -> Move {
     mv
 }
 
-fn new_normals(scene: &Scene, mv: &Move, affected: &[u32]) -> smallvec::SmallVec<[(u32, DVec3); 0]> {
+fn new_normals(
+    scene: &Scene,
+    mv: &Move,
+    affected: &[u32],
+) -> smallvec::SmallVec<[(u32, DVec3); 0]> {
     let place = |v: u32| mv.moved.iter().find(|m| m.0 == v).map_or(scene.position(v), |m| m.1);
     affected
         .iter()
@@ -173,7 +177,7 @@ fn pictures(evaluator: &mut dyn Evaluator, scene: &Scene) -> Vec<Vec<u8>> {
 /// Random edits: the accumulated change equals a full re-render, to the bit, throughout.
 fn check(make: &dyn Fn(&Scene, Reference) -> Box<dyn Evaluator>, look: Look, n_edits: u32) {
     let mut runner = TestRunner::new_with_rng(
-        Config { cases: 1, ..Config::default() },
+        Config { cases: 1, max_shrink_iters: 0, failure_persistence: None, ..Config::default() },
         TestRng::deterministic_rng(RngAlgorithm::ChaCha),
     );
     let picks = prop::collection::vec(
@@ -187,7 +191,9 @@ fn check(make: &dyn Fn(&Scene, Reference) -> Box<dyn Evaluator>, look: Look, n_e
             let mut evaluator = make(&scene, reference.clone());
             prop_assert_eq!(evaluator.energy(), 0);
             for (step, (pick, offset)) in picks.into_iter().enumerate() {
-                let Some(mv) = random_move(&scene, pick, DVec3::from_array(offset)) else { continue };
+                let Some(mv) = random_move(&scene, pick, DVec3::from_array(offset)) else {
+                    continue;
+                };
                 // Judging does not change anything, and a batch judges like one.
                 let batch = vec![mv.clone(); 5];
                 let judged = evaluator.evaluate(&scene, &batch).unwrap();

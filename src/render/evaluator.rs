@@ -10,8 +10,13 @@ use super::{moves::Move, scene::Scene};
 #[derive(Debug, thiserror::Error)]
 pub enum RenderError {
     /// No device of that name.
-    #[error("no graphics adapter matches `{0}`; `lookalike doctor` lists what there is")]
-    NoAdapter(String),
+    #[error("no graphics adapter matches `{wanted}`; there is {present}; `cpu` always works")]
+    NoAdapter {
+        /// What was asked for.
+        wanted: String,
+        /// The adapters' names, or what to install when there is none.
+        present: String,
+    },
     /// The device was lost or ran out of memory.
     #[error("graphics device failed: {0}")]
     Device(String),

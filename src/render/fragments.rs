@@ -4,8 +4,7 @@
 //! 1. layer k holds the k-th nearest fragment of every pixel, or the background where there is none;
 //!    fragments beyond the dense layers are in `deep`, sorted too, and only where the dense layers
 //!    are full;
-//! 2. `far[t]` is at least the greatest front depth in tile t (8 × 8 pixels); background counts as
-//!    65,536. A move whose nearest vertex lies beyond every tile it touches changes nothing.
+//! 2. `bounds` are up to date with the fronts.
 //!
 //! Layers are arrays of their own because judging a move reads the front of many pixels and the
 //! second of few: measured, linked lists cost 2.5 times the time in cache misses. Lists have no
@@ -13,14 +12,14 @@
 
 use std::collections::BTreeMap;
 
-use super::raster::Fragment;
+use super::{
+    lattice::PixelRect,
+    raster::Fragment,
+    tiles::{BACKGROUND_Z, TileBounds},
+};
 
-/// Pixels along a tile's side.
-pub const TILE: i32 = 8;
 /// Layers kept for every pixel (0.8% of the bunny's pixels have more).
 const DENSE: usize = 4;
-/// Depth of the background, beyond every fragment.
-const BACKGROUND_Z: u32 = 1 << 16;
 
 /// A fragment as it is stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -53,7 +52,7 @@ impl Cell {
 pub struct FragmentLists {
     layers: [Vec<Cell>; DENSE],
     deep: BTreeMap<u32, Vec<Cell>>,
-    far: Vec<u32>,
+    bounds: TileBounds,
     size: i32,
     background: Cell,
 }
@@ -63,26 +62,19 @@ impl FragmentLists {
     pub fn new(size: i32, background_lum: u8, no_face: u32) -> Self {
         let background =
             Cell { depth_lum: BACKGROUND_Z << 8 | u32::from(background_lum), face: no_face };
-        let tiles = (size + TILE - 1) / TILE;
         Self {
             layers: std::array::from_fn(|_| vec![background; (size * size) as usize]),
             deep: BTreeMap::new(),
-            far: vec![BACKGROUND_Z; (tiles * tiles) as usize],
+            bounds: TileBounds::new(size),
             size,
             background,
         }
     }
 
-    /// Tiles along a side.
+    /// Upper bounds of the front depths.
     #[inline(always)]
-    pub fn tiles(&self) -> i32 {
-        (self.size + TILE - 1) / TILE
-    }
-
-    /// Upper bound of the front depths in a tile.
-    #[inline(always)]
-    pub fn far(&self, tile: usize) -> u32 {
-        self.far[tile]
+    pub fn bounds(&self) -> &TileBounds {
+        &self.bounds
     }
 
     /// The fronts of pixels `x0..=x1` of row `y`.
@@ -140,20 +132,12 @@ impl FragmentLists {
         self.layers[DENSE - 1][pixel] = deep.map_or(self.background, |d| d.remove(0));
     }
 
-    /// Recomputes the depth bounds of the tiles that touch the given columns and rows.
-    pub fn refresh_tiles(&mut self, x: (i32, i32), y: (i32, i32)) {
-        for ty in y.0 / TILE..=y.1 / TILE {
-            for tx in x.0 / TILE..=x.1 / TILE {
-                let rows = ty * TILE..((ty + 1) * TILE).min(self.size);
-                let last = ((tx + 1) * TILE).min(self.size) - 1;
-                let far = rows
-                    .flat_map(|row| self.row(row, tx * TILE, last))
-                    .map(Cell::z)
-                    .max()
-                    .unwrap_or(BACKGROUND_Z);
-                let tile = ty * self.tiles() + tx;
-                self.far[tile as usize] = far;
-            }
+    /// Recomputes the depth bounds of the tiles that touch the rectangle.
+    pub fn refresh_tiles(&mut self, rect: &PixelRect) {
+        for tile in self.bounds.touched(rect) {
+            let far = (tile.y0..=tile.y1).flat_map(|y| self.row(y, tile.x0, tile.x1)).map(Cell::z);
+            let far = far.max().unwrap_or(BACKGROUND_Z);
+            self.bounds.set(&tile, far);
         }
     }
 

@@ -2,18 +2,24 @@
 //!
 //! Knows nothing of edge queues, jobs or files.
 
+mod choose;
 #[cfg(test)]
 mod contract;
+mod device;
 mod evaluator;
 mod fragments;
+mod gpu;
 pub mod lattice;
 mod moves;
 mod raster;
 mod scene;
 mod simd;
+mod tiles;
 mod twin;
 pub mod view;
 
+pub use choose::{Choice, choose, make_evaluator};
+pub use device::{AdapterInfo, adapters};
 pub use evaluator::{Evaluator, Reference, RenderError};
 pub use moves::{AddedFace, MAX_MOVE_VERTICES, Move};
 pub use raster::{energy, picture, reference};

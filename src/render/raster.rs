@@ -22,7 +22,9 @@ pub struct Fragment {
 
 /// Renders the nearest surface in every view.
 pub fn reference(scene: &Scene) -> Reference {
-    Reference { pictures: (0..scene.n_views()).into_par_iter().map(|v| picture(scene, v)).collect() }
+    Reference {
+        pictures: (0..scene.n_views()).into_par_iter().map(|v| picture(scene, v)).collect(),
+    }
 }
 
 /// The picture of one view: 8-bit luminance, row by row from the top.

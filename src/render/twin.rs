@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use super::{
     evaluator::{Evaluator, Reference, RenderError},
-    fragments::{Cell, FragmentLists, TILE},
+    fragments::{Cell, FragmentLists},
     lattice::{LUM_BITS, PixelRect, Setup},
     moves::{Move, Projected},
     raster,
@@ -47,7 +47,7 @@ fn build_lists(scene: &Scene, view: usize) -> FragmentLists {
     let size = scene.lattice.size;
     let mut lists = FragmentLists::new(size, scene.params.background, NO_FACE);
     raster::for_each_fragment(scene, view, &mut |pixel, f| lists.insert(pixel, f));
-    lists.refresh_tiles((0, size - 1), (0, size - 1));
+    lists.refresh_tiles(&PixelRect { x0: 0, y0: 0, x1: size - 1, y1: size - 1 });
     lists
 }
 
@@ -133,7 +133,7 @@ fn update_view(
             });
         }
     }
-    lists.refresh_tiles((rect.x0, rect.x1), (rect.y0, rect.y1));
+    lists.refresh_tiles(&rect);
 }
 
 /// Working memory of one thread.
@@ -166,7 +166,7 @@ impl Judge<'_> {
     fn delta(&mut self, mv: &Move, projected: &Projected) -> i64 {
         let (scene, view) = (self.scene, self.view);
         let (rect, nearest_z) = projected.extent(&scene.lattice, view);
-        if rect.is_empty() || is_hidden(self.lists, &rect, u32::from(nearest_z)) {
+        if rect.is_empty() || self.lists.bounds().hides(&rect, u32::from(nearest_z)) {
             return 0;
         }
         let scratch = &mut *self.scratch;
@@ -236,13 +236,4 @@ impl Judge<'_> {
     fn stays(&self, face: u32) -> bool {
         self.scratch.marks.get(face as usize).is_none_or(|m| *m != self.scratch.serial)
     }
-}
-
-/// Whether everything in the rectangle is nearer than `z`.
-#[inline(always)]
-fn is_hidden(lists: &FragmentLists, rect: &PixelRect, z: u32) -> bool {
-    let tiles = lists.tiles();
-    (rect.y0 / TILE..=rect.y1 / TILE).all(|ty| {
-        (rect.x0 / TILE..=rect.x1 / TILE).all(|tx| lists.far((ty * tiles + tx) as usize) < z)
-    })
 }
