@@ -12,9 +12,10 @@ use super::quadratic::Quadratic;
 const COS2_ALPHA: f64 = 0.999_695_413_509_547_9;
 const SIN2_ALPHA: f64 = 3.045_864_904_521_349_3e-4;
 
-/// A row shorter than this times the size of its matrix is rounding, not direction. Exact zero
-/// is too weak a test: cancelling normals pass it and send vertices far away.
-const MIN_ROW: f64 = 1e-10;
+/// A row whose square is less than this times the square of the size it might have is rounding,
+/// not direction. Exact zero is too weak a test: normals that cancel pass it and send vertices
+/// far away.
+pub(super) const MIN_ROW2: f64 = 1e-20;
 
 /// Accepted constraints; `rows[..n]` are in use.
 #[derive(Clone, Copy, Debug, Default)]
@@ -22,6 +23,12 @@ pub(super) struct Constraints {
     rows: [DVec3; 3],
     right: [f64; 3],
     n: usize,
+    /// |row 1|² from one row on.
+    length2: f64,
+    /// Row 1 × row 2 from two rows on.
+    normal: DVec3,
+    /// The determinant from three rows on.
+    det: f64,
 }
 
 impl Constraints {
@@ -31,35 +38,34 @@ impl Constraints {
         self.n == 3
     }
 
-    /// Adds aᵀx = β if it is α-compatible; `scale` is the size that |a| would have without
-    /// cancellation.
+    /// Adds aᵀx = β if it is α-compatible; `scale2` is what |a|² would be without cancellation.
     #[inline]
-    pub(super) fn add(&mut self, a: DVec3, beta: f64, scale: f64) {
+    pub(super) fn add(&mut self, a: DVec3, beta: f64, scale2: f64) {
         let length2 = a.length_squared();
-        let is_clear = length2 > MIN_ROW * MIN_ROW * scale * scale;
-        if is_clear && self.is_compatible(a, length2) {
-            self.rows[self.n] = a;
-            self.right[self.n] = beta;
-            self.n += 1;
+        if length2 <= MIN_ROW2 * scale2 {
+            return;
         }
-    }
-
-    #[inline]
-    fn is_compatible(&self, a: DVec3, length2: f64) -> bool {
-        let [a1, a2, _] = self.rows;
         match self.n {
-            0 => true,
+            0 => self.length2 = length2,
             1 => {
-                let dot = a1.dot(a);
-                dot * dot < a1.length_squared() * length2 * COS2_ALPHA
+                let dot = self.rows[0].dot(a);
+                if dot * dot >= self.length2 * length2 * COS2_ALPHA {
+                    return;
+                }
+                self.normal = self.rows[0].cross(a);
             }
             2 => {
-                let normal = a1.cross(a2);
-                let det = normal.dot(a);
-                det * det > normal.length_squared() * length2 * SIN2_ALPHA
+                let det = self.normal.dot(a);
+                if det * det <= self.normal.length_squared() * length2 * SIN2_ALPHA {
+                    return;
+                }
+                self.det = det;
             }
-            _ => false,
+            _ => return,
         }
+        self.rows[self.n] = a;
+        self.right[self.n] = beta;
+        self.n += 1;
     }
 
     /// Adds what minimising `f` under the constraints so far still asks for: Q(Ax − b) = 0 with
@@ -67,36 +73,34 @@ impl Constraints {
     #[inline]
     pub(super) fn minimise(&mut self, f: &Quadratic) {
         let scale = f.a.trace();
-        let [a1, a2, _] = self.rows;
         match self.n {
             0 => {
                 for i in 0..3 {
-                    self.add(f.a.row(i), f.b[i], scale);
+                    self.add(f.a.row(i), f.b[i], scale * scale);
                 }
             }
             1 => {
-                let q1 = across(a1);
+                let q1 = across(self.rows[0]);
+                let q2 = self.rows[0].cross(q1);
                 self.add_along(f, q1, scale);
-                self.add_along(f, a1.cross(q1), scale);
+                self.add_along(f, q2, scale);
             }
-            2 => self.add_along(f, a1.cross(a2), scale),
+            2 => self.add_along(f, self.normal, scale),
             _ => {}
         }
     }
 
     #[inline]
     fn add_along(&mut self, f: &Quadratic, q: DVec3, scale: f64) {
-        self.add(f.a * q, f.b.dot(q), scale * q.length());
+        self.add(f.a * q, f.b.dot(q), scale * scale * q.length_squared());
     }
 
     /// The point where three constraints meet.
     #[inline]
     pub(super) fn solve(&self) -> Option<DVec3> {
         let [a1, a2, a3] = self.rows;
-        let normal = a1.cross(a2);
-        let sum =
-            a2.cross(a3) * self.right[0] + a3.cross(a1) * self.right[1] + normal * self.right[2];
-        let x = sum / normal.dot(a3);
+        let [b1, b2, b3] = self.right;
+        let x = (a2.cross(a3) * b1 + a3.cross(a1) * b2 + self.normal * b3) / self.det;
         (self.is_full() && x.is_finite()).then_some(x)
     }
 }

@@ -10,7 +10,8 @@ use std::ops::ControlFlow;
 use glam::DVec3;
 
 use super::params::Params;
-use super::placement::{Placement, Scratch, placement, turns_too_far};
+use super::gather::Fan;
+use super::placement::{Placement, Scratch, placement_between, turns_too_far};
 use super::queue::{Entry, Queue};
 use crate::mesh::{Collapse, EdgeId, EdgeTable, EditMesh, Sample, Stage, Step, VertexId};
 
@@ -86,8 +87,14 @@ struct Run<'a> {
     /// Vertices with an edge that was set aside.
     has_aside: Vec<bool>,
     evaluations: u64,
+    /// The sums over the triangles at a vertex, and when they were taken.
+    fans: Vec<Fan>,
+    summed_at: Vec<u32>,
     scratch: Scratch,
 }
+
+/// Of sums that were never taken.
+const NEVER: u32 = u32::MAX;
 
 impl<'a> Run<'a> {
     fn new(mesh: &'a mut EditMesh, params: &'a Params) -> Self {
@@ -105,9 +112,11 @@ impl<'a> Run<'a> {
             is_aside: vec![false; n_edges],
             has_aside: vec![false; n_vertices],
             evaluations: 0,
+            fans: vec![Fan::default(); n_vertices],
+            summed_at: vec![NEVER; n_vertices],
             scratch: Scratch::default(),
         };
-        let entries = (0..n_edges as u32).filter_map(|e| run.evaluate(EdgeId(e)).map(|(e, _)| e));
+        let entries = (0..n_edges as u32).map(|e| run.evaluate(EdgeId(e)).0);
         run.queue = Queue::new(entries.collect());
         run
     }
@@ -142,10 +151,7 @@ impl<'a> Run<'a> {
                 continue;
             }
             let was_fresh = self.is_fresh(edge);
-            let Some((entry, found)) = self.evaluate(edge) else {
-                self.queue.pop();
-                continue;
-            };
+            let (entry, found) = self.evaluate(edge);
             if was_fresh {
                 self.queue.pop();
                 return Some((edge, found.to));
@@ -164,14 +170,27 @@ impl<'a> Run<'a> {
     }
 
     /// The queue entry and placement of an edge as things are now.
-    fn evaluate(&mut self, edge: EdgeId) -> Option<(Entry, Placement)> {
-        let [a, b] = self.edges.ends(edge);
-        let found = placement(self.mesh, a, b, self.params, &mut self.scratch)?;
+    fn evaluate(&mut self, edge: EdgeId) -> (Entry, Placement) {
+        let ends = self.edges.ends(edge);
+        self.sum(ends[0]);
+        self.sum(ends[1]);
+        let fans = ends.map(|v| &self.fans[v.index()]);
+        let found = placement_between(self.mesh, ends, fans, self.params, &mut self.scratch);
         self.evaluations += 1;
         self.evaluated_at[edge.index()] = self.now;
-        let length2 = self.mesh.position(a).distance_squared(self.mesh.position(b));
+        let length2 = self.mesh.position(ends[0]).distance_squared(self.mesh.position(ends[1]));
         let cost = found.cost + FLAT_SHARE * length2 * length2 * length2;
-        Some((Entry::new(cost, edge), found))
+        (Entry::new(cost, edge), found)
+    }
+
+    /// Brings the sums at a vertex up to date.
+    #[inline]
+    fn sum(&mut self, vertex: VertexId) {
+        let summed_at = &mut self.summed_at[vertex.index()];
+        if *summed_at == NEVER || *summed_at < self.changed_at[vertex.index()] {
+            *summed_at = self.now;
+            self.fans[vertex.index()] = Fan::new(self.mesh, vertex);
+        }
     }
 
     fn may_collapse(&self, edge: EdgeId, to: DVec3) -> bool {
@@ -208,7 +227,9 @@ impl<'a> Run<'a> {
     }
 
     fn touch(&mut self, vertex: VertexId) {
-        self.changed_at[vertex.index()] = self.now;
+        if std::mem::replace(&mut self.changed_at[vertex.index()], self.now) == self.now {
+            return;
+        }
         if !std::mem::take(&mut self.has_aside[vertex.index()]) {
             return;
         }

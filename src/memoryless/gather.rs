@@ -2,12 +2,57 @@
 //!
 //! Everything is in the edge's own frame: origin at its middle, its length as unit. Both ends
 //! then lie at ∓h with |h| = ½, and every triangle contains one of them, so its plane needs only
-//! its normal: d = nᵀ(∓h). Nothing here loses precision far from the model's origin.
+//! its normal: d = nᵀ(∓h). Nothing here loses precision far from the model's origin, and the sums
+//! over the triangles at one vertex ([`Fan`]) serve all its edges.
 
 use glam::DVec3;
 
 use super::quadratic::{Quadratic, Symmetric};
 use crate::mesh::{EditMesh, FaceId, VertexId};
+
+/// Sums over triangles with a common vertex, model units.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Fan {
+    /// Σ nnᵀ.
+    matrix: Symmetric,
+    /// Σ n.
+    normal: DVec3,
+}
+
+impl Fan {
+    /// The sums over all living triangles at a vertex.
+    #[inline]
+    pub(super) fn new(mesh: &EditMesh, vertex: VertexId) -> Self {
+        let mut fan = Self::default();
+        for &face in mesh.faces_around(vertex) {
+            fan.add(mesh.area_normal(face));
+        }
+        fan
+    }
+
+    #[inline]
+    fn add(&mut self, normal: DVec3) {
+        self.matrix += Symmetric::outer(normal);
+        self.normal += normal;
+    }
+
+    /// The sums over the triangles that hold both vertices.
+    #[inline]
+    fn shared(mesh: &EditMesh, a: VertexId, b: VertexId) -> Self {
+        let mut shared = Self::default();
+        let (at_a, at_b) = (mesh.faces_around(a), mesh.faces_around(b));
+        let (mut i, mut j) = (0, 0);
+        while let (Some(&f), Some(&g)) = (at_a.get(i), at_b.get(j)) {
+            if f == g {
+                shared.add(mesh.area_normal(f));
+            }
+            // Both lists ascend. No branches here: which is lower cannot be predicted.
+            i += usize::from(f <= g);
+            j += usize::from(g <= f);
+        }
+        shared
+    }
+}
 
 /// Sums over the triangles T at either end of an edge, in the edge's frame.
 #[derive(Clone, Copy, Debug)]
@@ -22,15 +67,60 @@ pub(super) struct Surroundings {
     pub(super) normal: DVec3,
     /// Σ dᵢ.
     pub(super) offset: f64,
-    /// Σ |nᵢ|², the size that `normal` might have.
+    /// Σ |nᵢ|², the size that |`normal`|² might have.
     pub(super) normal2: f64,
     /// Σ Vᵢ², the volume objective (equation 8).
     pub(super) volume: Quadratic,
-    /// The boundary at the two ends, if there is one.
-    pub(super) boundary: Option<Boundary>,
 }
 
-/// Sums over the boundary edges at either end of an edge.
+impl Surroundings {
+    /// The sums for the edge (a, b) from those at its ends; `None` if its length is zero or not
+    /// finite.
+    #[inline]
+    pub(super) fn new(
+        mesh: &EditMesh,
+        [a, b]: [VertexId; 2],
+        [at_a, at_b]: [&Fan; 2],
+    ) -> Option<Self> {
+        let (from, to) = (mesh.position(a), mesh.position(b));
+        let edge = to - from;
+        let length2 = edge.length_squared();
+        let scale = 1.0 / length2;
+        if !(scale.is_finite() && scale > 0.0) {
+            return None;
+        }
+        let length = length2.sqrt();
+        let h = edge * (0.5 / length);
+        let shared = Fan::shared(mesh, a, b);
+        // Products of two normals carry length⁴. The planes of shared triangles hold both ends:
+        // they drop out of Σ dᵢ and Σ dᵢnᵢ.
+        let scale2 = scale * scale;
+        let (ha, hb) = (at_a.matrix * h * scale2, at_b.matrix * h * scale2);
+        let hs = shared.matrix * h * scale2;
+        let matrix = (at_a.matrix + at_b.matrix + shared.matrix * -1.0) * scale2;
+        Some(Self {
+            middle: from + edge * 0.5,
+            length,
+            h,
+            normal: (at_a.normal + at_b.normal - shared.normal) * scale,
+            offset: h.dot(at_b.normal - at_a.normal) * scale,
+            normal2: matrix.trace(),
+            volume: Quadratic {
+                a: matrix * (1.0 / 18.0),
+                b: (hb - ha) * (1.0 / 18.0),
+                c: h.dot(ha + hb - hs) * (1.0 / 18.0),
+            },
+        })
+    }
+
+    /// From model space into the edge's frame.
+    #[inline]
+    pub(super) fn local(&self, position: DVec3) -> DVec3 {
+        (position - self.middle) / self.length
+    }
+}
+
+/// Sums over the boundary edges at either end of an edge, in the edge's frame.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Boundary {
     /// |Σ aⱼ|², boundary preservation (equation 13).
@@ -39,114 +129,27 @@ pub(super) struct Boundary {
     pub(super) optimisation: Quadratic,
 }
 
-/// Sums over the triangles at one end.
-#[derive(Default)]
-struct Fan {
-    matrix: Symmetric,
-    normal: DVec3,
-    /// Zero if every neighbour follows the end in one triangle and precedes it in another.
-    balance: u64,
-}
-
-/// The sums for the edge (a, b); `None` if its length is zero or not finite.
-#[inline]
-pub(super) fn gather(mesh: &EditMesh, a: VertexId, b: VertexId) -> Option<Surroundings> {
-    let (from, to) = (mesh.position(a), mesh.position(b));
-    let edge = to - from;
-    let length = edge.length();
-    let scale = 1.0 / (length * length);
-    if !(scale.is_finite() && scale > 0.0) {
-        return None;
-    }
-    // Triangles at both ends are summed with the first.
-    let at_a = fan(mesh, a, None, scale);
-    let at_b = fan(mesh, b, Some(a), scale);
-    let h = edge / length * 0.5;
-    let middle = from + edge * 0.5;
-    let (ha, hb) = (at_a.matrix * h, at_b.matrix * h);
-    let volume = Quadratic { a: at_a.matrix + at_b.matrix, b: hb - ha, c: h.dot(ha + hb) };
-    let is_open = at_a.balance != 0 || at_b.balance != 0;
-    let frame = Frame { middle, scale: 1.0 / length };
-    Some(Surroundings {
-        middle,
-        length,
-        h,
-        normal: at_a.normal + at_b.normal,
-        offset: h.dot(at_b.normal - at_a.normal),
-        normal2: volume.a.trace(),
-        volume: volume * (1.0 / 18.0),
-        boundary: if is_open { boundary(mesh, a, b, frame) } else { None },
-    })
-}
-
-/// Sums the triangles at `end`, leaving out the values of those that also hold `other`.
-#[inline]
-fn fan(mesh: &EditMesh, end: VertexId, other: Option<VertexId>, scale: f64) -> Fan {
-    let mut fan = Fan::default();
-    for &face in mesh.faces_around(end) {
-        let [next, last] = turned_to(mesh, face, end);
-        fan.balance = fan.balance.wrapping_add(mixed(next)).wrapping_sub(mixed(last));
-        if other.is_none_or(|o| next != o && last != o) {
-            let normal = mesh.area_normal(face) * scale;
-            fan.matrix += Symmetric::outer(normal);
-            fan.normal += normal;
-        }
-    }
-    fan
-}
-
-/// The other two vertices of a triangle in its direction, from `vertex` on.
-#[inline]
-fn turned_to(mesh: &EditMesh, face: FaceId, vertex: VertexId) -> [VertexId; 2] {
-    let [p, q, r] = mesh.vertices_of(face);
-    if p == vertex {
-        [q, r]
-    } else if q == vertex {
-        [r, p]
-    } else {
-        [p, q]
-    }
-}
-
-/// A vertex id spread over 64 bits, such that sums of different sets differ: a balance of zero
-/// stands for a closed fan. (Should chance ever bring 2⁻⁶⁴ about, one vertex is placed as if it
-/// were interior.) Fans that are open, or not oriented alike, are then counted exactly.
-#[inline]
-fn mixed(vertex: VertexId) -> u64 {
-    let x = u64::from(vertex.0).wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
-    (x ^ (x >> 32)).wrapping_mul(x | 1)
-}
-
-/// From model space into an edge's frame.
-#[derive(Clone, Copy)]
-struct Frame {
-    middle: DVec3,
-    scale: f64,
-}
-
-impl Frame {
-    fn local(self, p: DVec3) -> DVec3 {
-        (p - self.middle) * self.scale
-    }
-}
-
 /// The boundary edges at `a` or `b`, each counted once; `None` if there are none.
 #[cold]
-fn boundary(mesh: &EditMesh, a: VertexId, b: VertexId, frame: Frame) -> Option<Boundary> {
+pub(super) fn boundary(
+    mesh: &EditMesh,
+    [a, b]: [VertexId; 2],
+    around: &Surroundings,
+) -> Option<Boundary> {
     let (mut edge_sum, mut cross_sum) = (DVec3::ZERO, DVec3::ZERO);
     let mut optimisation = Quadratic::default();
     let mut is_empty = true;
     for (end, other) in [(a, None), (b, Some(a))] {
         let faces = mesh.faces_around(end);
         for &face in faces {
-            let [next, last] = turned_to(mesh, face, end);
+            let [next, last] = mesh.turned_to(face, end);
             for [from, to] in [[end, next], [last, end]] {
                 let far = if from == end { to } else { from };
                 let holds_far = |&&f: &&FaceId| mesh.vertices_of(f).contains(&far);
                 if Some(far) == other || faces.iter().filter(holds_far).count() != 1 {
                     continue;
                 }
-                let [x0, x1] = [from, to].map(|v| frame.local(mesh.position(v)));
+                let [x0, x1] = [from, to].map(|v| around.local(mesh.position(v)));
                 let (edge, cross) = (x1 - x0, x1.cross(x0));
                 edge_sum += edge;
                 cross_sum += cross;
@@ -173,6 +176,10 @@ fn swept_area2(e: DVec3, c: DVec3) -> Quadratic {
 mod tests {
     use super::*;
     use crate::mesh::{Mesh, shapes};
+
+    fn surroundings(mesh: &EditMesh, a: VertexId, b: VertexId) -> Option<Surroundings> {
+        Surroundings::new(mesh, [a, b], [&Fan::new(mesh, a), &Fan::new(mesh, b)])
+    }
 
     /// The sums again, straight from the definitions in section 4 and 6 of the paper.
     fn by_definition(mesh: &EditMesh, a: VertexId, b: VertexId, x: DVec3) -> [f64; 4] {
@@ -215,10 +222,10 @@ mod tests {
             let edges = crate::mesh::EdgeTable::new(&mesh);
             for edge in edges.edges() {
                 let [a, b] = edges.ends(edge);
-                let s = gather(&mesh, a, b).unwrap();
+                let s = surroundings(&mesh, a, b).unwrap();
                 let x = DVec3::new(0.3, -0.7, 0.2);
                 let expected = by_definition(&mesh, a, b, x);
-                let boundary = s.boundary.map_or([0.0; 2], |b| {
+                let boundary = boundary(&mesh, [a, b], &s).map_or([0.0; 2], |b| {
                     [b.preservation.value(x), b.optimisation.value(x)]
                 });
                 let swept = -(s.normal.dot(x) - s.offset) / 6.0;
@@ -234,6 +241,6 @@ mod tests {
     fn an_edge_without_length_has_no_frame() {
         let positions = vec![DVec3::ONE, DVec3::ONE, DVec3::X];
         let mesh = EditMesh::new(Mesh::from_parts(positions, vec![[0, 1, 2]])).unwrap();
-        assert!(gather(&mesh, VertexId(0), VertexId(1)).is_none());
+        assert!(surroundings(&mesh, VertexId(0), VertexId(1)).is_none());
     }
 }

@@ -2,8 +2,8 @@
 
 use glam::DVec3;
 
-use super::constraints::Constraints;
-use super::gather::{Surroundings, gather};
+use super::constraints::{Constraints, MIN_ROW2};
+use super::gather::{Fan, Surroundings, boundary};
 use super::params::{Params, Start};
 use super::quadratic::{Quadratic, Symmetric};
 use crate::mesh::{EditMesh, FaceId, VertexId};
@@ -31,7 +31,6 @@ pub struct Scratch {
 /// share no triangle.
 ///
 /// Coincident ends collapse in place at no cost.
-#[inline]
 pub fn placement(
     mesh: &EditMesh,
     a: VertexId,
@@ -39,66 +38,86 @@ pub fn placement(
     params: &Params,
     scratch: &mut Scratch,
 ) -> Option<Placement> {
-    let Some(around) = gather(mesh, a, b) else {
-        let exists = !mesh.edge_faces(a, b).is_empty();
-        return exists.then(|| Placement { to: mesh.position(a), cost: 0.0 });
-    };
-    let cost = cost_function(&around, params.lambda);
-    let mut neighbourhood = Neighbourhood { mesh, ends: [a, b], around: &around, scratch };
-    let x = neighbourhood.place(&cost, params);
-    let length6 = around.length.powi(6);
-    Some(Placement { to: around.middle + x * around.length, cost: cost.value(x) * length6 })
+    let exists = !mesh.edge_faces(a, b).is_empty();
+    let fans = [Fan::new(mesh, a), Fan::new(mesh, b)];
+    exists.then(|| placement_between(mesh, [a, b], [&fans[0], &fans[1]], params, scratch))
 }
 
-/// f_C in the edge's frame, where L = 1.
+/// As [`placement`], of an edge that exists, from the sums at its ends.
 #[inline]
-fn cost_function(around: &Surroundings, lambda: f64) -> Quadratic {
-    match &around.boundary {
-        None => around.volume * lambda,
-        Some(boundary) => around.volume * lambda + boundary.optimisation * (1.0 - lambda),
+pub(super) fn placement_between(
+    mesh: &EditMesh,
+    ends: [VertexId; 2],
+    fans: [&Fan; 2],
+    params: &Params,
+    scratch: &mut Scratch,
+) -> Placement {
+    let Some(around) = Surroundings::new(mesh, ends, fans) else {
+        return Placement { to: mesh.position(ends[0]), cost: 0.0 };
+    };
+    let mut cost = around.volume * params.lambda;
+    let is_closed = ends.iter().all(|&end| mesh.is_closed_fan(end));
+    let boundary = if is_closed { None } else { boundary(mesh, ends, &around) };
+    if let Some(boundary) = &boundary {
+        // f_C in the edge's frame, where L = 1.
+        cost = cost + boundary.optimisation * (1.0 - params.lambda);
     }
+    let preservation = boundary.as_ref().map(|b| &b.preservation);
+    let mut place = Place { mesh, ends, around: &around, cost: &cost, preservation, scratch };
+    let x = place.find(params);
+    let length2 = around.length * around.length;
+    let cost = cost.value(x) * (length2 * length2 * length2);
+    Placement { to: around.middle + x * around.length, cost }
 }
 
-/// An edge, its sums, and its ring where that is needed after all.
-struct Neighbourhood<'a> {
+/// What decides where a vertex goes, in the edge's frame.
+struct Place<'a> {
     mesh: &'a EditMesh,
     ends: [VertexId; 2],
     around: &'a Surroundings,
+    /// f_C.
+    cost: &'a Quadratic,
+    /// Boundary preservation, where there is a boundary.
+    preservation: Option<&'a Quadratic>,
     scratch: &'a mut Scratch,
 }
 
-impl Neighbourhood<'_> {
+impl Place<'_> {
     /// The position in the edge's frame.
     #[inline]
-    fn place(&mut self, cost: &Quadratic, params: &Params) -> DVec3 {
+    fn find(&mut self, params: &Params) -> DVec3 {
         let keeps_volume = params.scheme.keeps_volume;
         let start = match params.scheme.start {
-            Start::Optimum => self.optimum(cost, keeps_volume),
+            Start::Optimum => self.optimum(keeps_volume),
             Start::Midpoint => self.project(DVec3::ZERO, keeps_volume),
             Start::RandomEnd => self.project(self.random_end(params.seed), keeps_volume),
-            Start::BetterEnd => self.project(self.better_end(cost), keeps_volume),
+            Start::BetterEnd => self.project(self.better_end(), keeps_volume),
         };
-        let is_believable = |&x: &DVec3| self.is_near(x);
-        if let Some(x) = start.filter(is_believable) {
-            return x;
+        match start {
+            Some(x) if self.is_near(x) => x,
+            _ => self.fallback(keeps_volume),
         }
-        // The nearest point that keeps the volume, if even that is near; else the middle.
-        let fallback = self.project(DVec3::ZERO, keeps_volume);
-        fallback.filter(|&x| self.is_near(x)).unwrap_or(DVec3::ZERO)
+    }
+
+    /// The point nearest to the middle that keeps the volume, if that is near; else the middle.
+    #[cold]
+    fn fallback(&self, keeps_volume: bool) -> DVec3 {
+        let projected = self.project(DVec3::ZERO, keeps_volume);
+        projected.filter(|&x| self.is_near(x)).unwrap_or(DVec3::ZERO)
     }
 
     /// Constraints in the paper's order: volume and boundary preservation, cost, shape.
     #[inline]
-    fn optimum(&mut self, cost: &Quadratic, keeps_volume: bool) -> Option<DVec3> {
+    fn optimum(&mut self, keeps_volume: bool) -> Option<DVec3> {
         let mut constraints = Constraints::default();
         if keeps_volume {
             let around = self.around;
-            constraints.add(around.normal, around.offset, around.normal2.sqrt());
+            constraints.add(around.normal, around.offset, around.normal2);
         }
-        if let Some(boundary) = &self.around.boundary {
-            constraints.minimise(&boundary.preservation);
+        if let Some(preservation) = self.preservation {
+            constraints.minimise(preservation);
         }
-        constraints.minimise(cost);
+        constraints.minimise(self.cost);
         if !constraints.is_full() {
             constraints.minimise(&self.shape());
         }
@@ -110,16 +129,16 @@ impl Neighbourhood<'_> {
     fn project(&self, x: DVec3, keeps_volume: bool) -> Option<DVec3> {
         let Surroundings { normal, offset, normal2, .. } = *self.around;
         let length2 = normal.length_squared();
-        if !keeps_volume || length2 <= 1e-20 * normal2 {
+        if !keeps_volume || length2 <= MIN_ROW2 * normal2 {
             return Some(x);
         }
         let x = x + normal * ((offset - normal.dot(x)) / length2);
         x.is_finite().then_some(x)
     }
 
-    fn better_end(&self, cost: &Quadratic) -> DVec3 {
+    fn better_end(&self) -> DVec3 {
         let h = self.around.h;
-        if cost.value(-h) <= cost.value(h) { -h } else { h }
+        if self.cost.value(-h) <= self.cost.value(h) { -h } else { h }
     }
 
     fn random_end(&self, seed: u64) -> DVec3 {
@@ -162,7 +181,7 @@ impl Neighbourhood<'_> {
     }
 
     fn local(&self, vertex: VertexId) -> DVec3 {
-        (self.mesh.position(vertex) - self.around.middle) / self.around.length
+        self.around.local(self.mesh.position(vertex))
     }
 
     /// The vertices that share a triangle with an end, the ends left out.
@@ -183,22 +202,18 @@ impl Neighbourhood<'_> {
 /// Whether collapsing (a, b) to `to` would turn a surviving triangle by more than the angle with
 /// cosine `min_cos`, or flatten it to nothing. Triangles without area may turn as they like.
 pub fn turns_too_far(mesh: &EditMesh, [a, b]: [VertexId; 2], to: DVec3, min_cos: f64) -> bool {
-    let turns = |face: &FaceId, end: VertexId, other: VertexId| {
-        let vertices = mesh.vertices_of(*face);
+    let turns = |face: FaceId, end: VertexId, other: VertexId| {
+        let vertices = mesh.vertices_of(face);
         if vertices.contains(&other) {
             return false;
         }
-        let before = mesh.area_normal(*face);
+        let before = mesh.area_normal(face);
         let [p0, p1, p2] = vertices.map(|v| if v == end { to } else { mesh.position(v) });
         let after = (p1 - p0).cross(p2 - p0);
-        // Scaled first: squares of huge or tiny areas would leave the range of f64.
-        let size = before.abs().max_element();
-        let (before, after) = (before / size, after / size);
-        let limit2 = min_cos * min_cos.abs() * before.length_squared() * after.length_squared();
-        let dot = before.dot(after);
-        size > 0.0 && dot * dot.abs() <= limit2
+        let size2 = before.length_squared();
+        size2 > 0.0 && before.dot(after) <= min_cos * (size2.sqrt() * after.length())
     };
     [(a, b), (b, a)].into_iter().any(|(end, other)| {
-        min_cos > -1.0 && mesh.faces_around(end).iter().any(|f| turns(f, end, other))
+        min_cos > -1.0 && mesh.faces_around(end).iter().any(|&f| turns(f, end, other))
     })
 }

@@ -81,24 +81,36 @@ impl Queue {
         self.0[at] = entry;
     }
 
+    /// Moves the entry at `at` down to its place.
     #[inline]
     fn sink(&mut self, mut at: usize) {
-        let Some(&entry) = self.0.get(at) else { return };
+        let heap = &mut self.0[..];
+        let Some(&entry) = heap.get(at) else { return };
         loop {
             let first = at * N_CHILDREN + 1;
-            let end = (first + N_CHILDREN).min(self.0.len());
-            let Some(children) = self.0.get(first..end) else { break };
-            let Some((k, &least)) = children.iter().enumerate().min_by_key(|&(_, e)| e) else {
-                break;
-            };
+            let Some((child, least)) = least_child(heap, first) else { break };
             if entry <= least {
                 break;
             }
-            self.0[at] = least;
-            at = first + k;
+            heap[at] = least;
+            at = child;
         }
-        self.0[at] = entry;
+        heap[at] = entry;
     }
+}
+
+/// The least of the up to four entries from `first` on, and where it is.
+#[inline]
+fn least_child(heap: &[Entry], first: usize) -> Option<(usize, Entry)> {
+    if let Some(&[a, b, c, d]) = heap.get(first..first + N_CHILDREN) {
+        // Two rounds of a tournament, as conditional moves.
+        let (i, x) = if b < a { (1, b) } else { (0, a) };
+        let (j, y) = if d < c { (3, d) } else { (2, c) };
+        return Some(if y < x { (first + j, y) } else { (first + i, x) });
+    }
+    let rest = heap.get(first..)?;
+    let (k, &least) = rest.iter().enumerate().min_by_key(|&(_, entry)| entry)?;
+    Some((first + k, least))
 }
 
 #[cfg(test)]

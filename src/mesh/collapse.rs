@@ -82,6 +82,7 @@ impl EditMesh {
         let (keep, drop) = (record.keep, record.drop);
         for removed in &record.removed {
             self.alive[removed.face.index()] = false;
+            self.weigh(removed.vertices.map(|v| v.0), false);
             for v in removed.vertices.into_iter().filter(|&v| v != keep && v != drop) {
                 self.detach(v, removed.face);
             }
@@ -116,6 +117,7 @@ impl EditMesh {
         self.set_faces_around(drop, &at_drop);
         for removed in &record.removed {
             self.alive[removed.face.index()] = true;
+            self.weigh(removed.vertices.map(|v| v.0), true);
             for v in removed.vertices.into_iter().filter(|&v| v != keep && v != drop) {
                 self.attach(v, removed.face);
             }
@@ -127,8 +129,13 @@ impl EditMesh {
         self.refresh_normals(drop);
     }
 
+    /// Hangs a corner of a living triangle on another vertex; lists and normals are the caller's.
     pub(super) fn set_vertex(&mut self, corner: Corner, vertex: VertexId) {
-        self.mesh.faces[corner.face().index()][corner.k()] = vertex.0;
+        let mut vertices = self.mesh.faces[corner.face().index()];
+        self.weigh(vertices, false);
+        vertices[corner.k()] = vertex.0;
+        self.weigh(vertices, true);
+        self.mesh.faces[corner.face().index()] = vertices;
     }
 
     pub(super) fn set_wedge(&mut self, corner: Corner, wedge: WedgeId) {

@@ -92,6 +92,12 @@ pub enum Violation {
         /// The triangle.
         face: usize,
     },
+    /// Invariant 6: the balance of a vertex.
+    #[error("invariant 6: the balance of vertex {vertex} is out of date")]
+    Balance {
+        /// The vertex.
+        vertex: usize,
+    },
     /// Invariant 5: the pool of lists.
     #[error("invariant 5: lists overlap, are out of order or miscounted")]
     Pool,

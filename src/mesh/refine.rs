@@ -52,6 +52,7 @@ impl EditMesh {
         let v = record.vertex;
         self.mesh.positions.push(record.at);
         self.around.push_list();
+        self.balance.push(0);
         self.append_wedges(&record.new_wedges);
         for half in &record.halves {
             let [at_a, at_b] = [record.a, record.b].map(|end| corner_of(half.vertices, end));
@@ -81,6 +82,7 @@ impl EditMesh {
             self.mesh.face_materials.push(self.mesh.material_of(half.face));
         }
         self.alive.push(true);
+        self.weigh(vertices, true);
         self.n_faces += 1;
         self.normals.push(area_normal(&self.mesh.positions, vertices));
         for vertex in vertices {
@@ -105,12 +107,15 @@ impl EditMesh {
         }
         self.truncate_wedges(record.first_new_wedge);
         self.around.pop_list();
+        self.balance.pop();
         self.mesh.positions.pop();
         self.refresh_normals(record.b);
     }
 
     fn pop_face(&mut self) {
-        self.mesh.faces.pop();
+        if let Some(vertices) = self.mesh.faces.pop() {
+            self.weigh(vertices, false);
+        }
         self.mesh.face_wedges.truncate(self.mesh.faces.len());
         self.mesh.face_materials.truncate(self.mesh.faces.len());
         self.alive.pop();
