@@ -7,7 +7,10 @@ use std::{
 };
 
 use clap::Args;
-use lookalike::jobs::{Jobs, error::Error};
+use lookalike::{
+    jobs::{Jobs, error::Error},
+    render::{AdapterInfo, adapters},
+};
 
 use super::{
     exit::{Exit, Failure},
@@ -49,7 +52,7 @@ struct Finding {
 }
 
 pub(crate) async fn run(args: DoctorArgs) -> Result<(), Failure> {
-    let mut findings = vec![vulkan(&driver_files()), port(args.listen)];
+    let mut findings = vec![vulkan(&driver_files()), devices(), port(args.listen)];
     if let Some(data_dir) = &args.data_dir {
         findings.push(store(data_dir).await);
     }
@@ -87,6 +90,17 @@ fn vulkan(drivers: &[PathBuf]) -> Finding {
         (Grade::Good, format!("drivers: {}", names.join(", ")))
     };
     Finding { what: "vulkan", grade, text }
+}
+
+fn devices() -> Finding {
+    let adapter = |a: &AdapterInfo| match &a.unfit {
+        None => format!("{} ({}, {})", a.name, a.kind, a.driver),
+        Some(why) => format!("{} (cannot be used: {why})", a.name),
+    };
+    let names: Vec<String> = adapters().iter().map(adapter).collect();
+    let native = "the native evaluator (`--device cpu`)".to_owned();
+    let text = std::iter::once(native).chain(names).collect::<Vec<_>>().join("; ");
+    Finding { what: "devices", grade: Grade::Good, text }
 }
 
 fn driver_files() -> Vec<PathBuf> {

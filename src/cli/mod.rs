@@ -4,13 +4,16 @@
 //! says what to do next.
 
 mod bar;
+mod compare;
 mod doctor;
 mod exit;
+mod extract;
 mod fetch;
 mod job_args;
 mod jobs;
 mod remote;
 mod run;
+mod sample;
 mod serve;
 mod show;
 mod signals;
@@ -53,6 +56,12 @@ enum Command {
     Fetch(fetch::FetchArgs),
     /// Simplify a file in this process, without a server.
     Run(run::RunArgs),
+    /// Tell how much a simplified mesh looks like its original: pictures and distances.
+    Compare(compare::CompareArgs),
+    /// Take any level of detail out of a progressive mesh.
+    Extract(extract::ExtractArgs),
+    /// Write a sample model to try things on.
+    Sample(sample::SampleArgs),
     /// Find out what is wrong with this machine or server, and how to mend it.
     Doctor(doctor::DoctorArgs),
     /// Print a completion script for a shell.
@@ -93,6 +102,9 @@ async fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Delete(args) => jobs::delete(args).await,
         Command::Fetch(args) => fetch::run(args).await,
         Command::Run(args) => run::run(args).await,
+        Command::Compare(args) => compare::run(&args),
+        Command::Extract(args) => extract::run(&args),
+        Command::Sample(args) => sample::run(&args),
         Command::Doctor(args) => doctor::run(args).await,
         Command::Completions { shell } => {
             let mut out = Vec::new();

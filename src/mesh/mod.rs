@@ -18,8 +18,13 @@ mod step;
 mod tests;
 mod wedges;
 
-pub use edit::{Collapse, RemovedFace, Rewedged};
+pub use edges::{EdgeChange, EdgeTable};
+pub use edit::{Collapse, RemovedFace, Rewedged, Split, SplitFace, Swap};
+pub use edit_mesh::EditMesh;
+pub use error::{MAX_FACES, MeshError, Violation};
+pub use legality::{Legality, Topology};
 pub use model::{
     AttributeLayer, Corner, EdgeId, FaceId, Material, Mesh, Semantic, VertexId, WedgeId,
 };
+pub use snapshot::Snapshot;
 pub use step::{Sample, Stage, Step};

@@ -9,7 +9,11 @@
 
 pub mod agent;
 pub mod attempt;
+mod levels;
 pub mod link;
 pub mod outbox;
+mod params;
 pub mod pipeline;
+mod recorder;
+mod results;
 pub mod supervisor;
