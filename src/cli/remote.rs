@@ -22,7 +22,7 @@ use super::exit::{Exit, Failure, refused, unreachable};
 type Client = LookalikeServiceClient<Channel>;
 
 /// A server that restarts is waited for this long.
-const PATIENCE: Duration = Duration::from_secs(60);
+const PATIENCE: Duration = Duration::from_mins(1);
 /// Bytes of an upload's chunk.
 const CHUNK: usize = 256 << 10;
 

@@ -53,7 +53,7 @@ pub async fn serve(
         .http2_max_header_list_size(16 << 10)
         .http2_keepalive_interval(Some(Duration::from_secs(20)))
         .http2_keepalive_timeout(Some(Duration::from_secs(20)))
-        .max_connection_age(Duration::from_secs(3600))
+        .max_connection_age(Duration::from_hours(1))
         .add_service(health_service)
         .add_service(reflection)
         .add_service(LookalikeServiceServer::new(api).max_decoding_message_size(MAX_MESSAGE_BYTES))

@@ -8,7 +8,7 @@ use std::{
     any::Any,
     ops::ControlFlow,
     panic::{AssertUnwindSafe, catch_unwind},
-    path::{Path, PathBuf},
+    path::Path,
     time::Duration,
 };
 
@@ -194,7 +194,7 @@ impl Fault {
 fn guarded(
     work: &Work,
     input: &[u8],
-    out_dir: &PathBuf,
+    out_dir: &Path,
     device: &DeviceChoice,
     reports: &mpsc::Sender<Report>,
     stopped: &watch::Receiver<Option<Stop>>,
