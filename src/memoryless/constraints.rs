@@ -39,7 +39,7 @@ impl Constraints {
     }
 
     /// Adds aᵀx = β if it is α-compatible; `scale2` is what |a|² would be without cancellation.
-    #[inline]
+    #[inline(always)]
     pub(super) fn add(&mut self, a: DVec3, beta: f64, scale2: f64) {
         let length2 = a.length_squared();
         if length2 <= MIN_ROW2 * scale2 {
@@ -70,7 +70,7 @@ impl Constraints {
 
     /// Adds what minimising `f` under the constraints so far still asks for: Q(Ax − b) = 0 with
     /// the rows of Q an orthogonal basis of the free directions (equation 4).
-    #[inline]
+    #[inline(always)]
     pub(super) fn minimise(&mut self, f: &Quadratic) {
         let scale = f.a.trace();
         match self.n {
@@ -90,7 +90,7 @@ impl Constraints {
         }
     }
 
-    #[inline]
+    #[inline(always)]
     fn add_along(&mut self, f: &Quadratic, q: DVec3, scale: f64) {
         self.add(f.a * q, f.b.dot(q), scale * scale * q.length_squared());
     }
@@ -109,13 +109,11 @@ impl Constraints {
 #[inline]
 fn across(a: DVec3) -> DVec3 {
     let size = a.abs();
-    if size.x <= size.y && size.x <= size.z {
-        DVec3::new(0.0, -a.z, a.y)
-    } else if size.y <= size.z {
-        DVec3::new(a.z, 0.0, -a.x)
-    } else {
-        DVec3::new(-a.y, a.x, 0.0)
-    }
+    let is_x = size.x <= size.y && size.x <= size.z;
+    let is_y = !is_x && size.y <= size.z;
+    // As a product: which component is least cannot be predicted, so no branches.
+    let axis = DVec3::new(is_x.into(), is_y.into(), (!is_x && !is_y).into());
+    axis.cross(a)
 }
 
 #[cfg(test)]

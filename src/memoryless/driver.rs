@@ -9,8 +9,8 @@ use std::ops::ControlFlow;
 
 use glam::DVec3;
 
-use super::params::Params;
 use super::gather::Fan;
+use super::params::Params;
 use super::placement::{Placement, Scratch, placement_between, turns_too_far};
 use super::queue::{Entry, Queue};
 use crate::mesh::{Collapse, EdgeId, EdgeTable, EditMesh, Sample, Stage, Step, VertexId};
@@ -78,23 +78,30 @@ struct Run<'a> {
     queue: Queue,
     /// Collapses so far: the time.
     now: u32,
-    /// When the triangles at a vertex last changed.
-    changed_at: Vec<u32>,
-    /// When an edge was last evaluated.
+    vertices: Vec<VertexState>,
+    /// When an edge was last evaluated; [`ASIDE`], [`DEAD`].
     evaluated_at: Vec<u32>,
-    /// Edges set aside because they could not be collapsed.
-    is_aside: Vec<bool>,
-    /// Vertices with an edge that was set aside.
-    has_aside: Vec<bool>,
     evaluations: u64,
-    /// The sums over the triangles at a vertex, and when they were taken.
-    fans: Vec<Fan>,
-    summed_at: Vec<u32>,
     scratch: Scratch,
 }
 
-/// Of sums that were never taken.
-const NEVER: u32 = u32::MAX;
+/// Instead of a time: the edge left the queue because it could not be collapsed.
+const ASIDE: u32 = u32::MAX;
+/// Instead of a time: the edge exists no longer.
+const DEAD: u32 = u32::MAX - 1;
+
+/// What a run remembers of a vertex.
+#[derive(Clone, Copy, Default)]
+struct VertexState {
+    /// The sums over its triangles.
+    fan: Fan,
+    /// When one of its triangles last changed.
+    changed_at: u32,
+    /// Whether `fan` is as of then.
+    is_summed: bool,
+    /// Whether one of its edges may be set aside.
+    has_aside: bool,
+}
 
 impl<'a> Run<'a> {
     fn new(mesh: &'a mut EditMesh, params: &'a Params) -> Self {
@@ -107,13 +114,9 @@ impl<'a> Run<'a> {
             edges,
             queue: Queue::new(Vec::new()),
             now: 0,
-            changed_at: vec![0; n_vertices],
+            vertices: vec![VertexState::default(); n_vertices],
             evaluated_at: vec![0; n_edges],
-            is_aside: vec![false; n_edges],
-            has_aside: vec![false; n_vertices],
             evaluations: 0,
-            fans: vec![Fan::default(); n_vertices],
-            summed_at: vec![NEVER; n_vertices],
             scratch: Scratch::default(),
         };
         let entries = (0..n_edges as u32).map(|e| run.evaluate(EdgeId(e)).0);
@@ -146,27 +149,26 @@ impl<'a> Run<'a> {
     fn next_candidate(&mut self) -> Option<(EdgeId, DVec3)> {
         loop {
             let edge = self.queue.peek()?.edge();
-            if !self.edges.is_alive(edge) {
+            if self.evaluated_at[edge.index()] == DEAD {
                 self.queue.pop();
                 continue;
             }
             let was_fresh = self.is_fresh(edge);
             let (entry, found) = self.evaluate(edge);
-            if was_fresh {
-                self.queue.pop();
-                return Some((edge, found.to));
+            if !was_fresh {
+                self.queue.replace_top(entry);
+                if self.queue.peek() != Some(entry) {
+                    continue;
+                }
             }
-            self.queue.replace_top(entry);
-            if self.queue.peek() == Some(entry) {
-                self.queue.pop();
-                return Some((edge, found.to));
-            }
+            self.queue.pop();
+            return Some((edge, found.to));
         }
     }
 
     fn is_fresh(&self, edge: EdgeId) -> bool {
         let since = self.evaluated_at[edge.index()];
-        self.edges.ends(edge).iter().all(|v| self.changed_at[v.index()] <= since)
+        self.edges.ends(edge).iter().all(|v| self.vertices[v.index()].changed_at <= since)
     }
 
     /// The queue entry and placement of an edge as things are now.
@@ -174,7 +176,7 @@ impl<'a> Run<'a> {
         let ends = self.edges.ends(edge);
         self.sum(ends[0]);
         self.sum(ends[1]);
-        let fans = ends.map(|v| &self.fans[v.index()]);
+        let fans = ends.map(|v| &self.vertices[v.index()].fan);
         let found = placement_between(self.mesh, ends, fans, self.params, &mut self.scratch);
         self.evaluations += 1;
         self.evaluated_at[edge.index()] = self.now;
@@ -186,10 +188,10 @@ impl<'a> Run<'a> {
     /// Brings the sums at a vertex up to date.
     #[inline]
     fn sum(&mut self, vertex: VertexId) {
-        let summed_at = &mut self.summed_at[vertex.index()];
-        if *summed_at == NEVER || *summed_at < self.changed_at[vertex.index()] {
-            *summed_at = self.now;
-            self.fans[vertex.index()] = Fan::new(self.mesh, vertex);
+        let state = &mut self.vertices[vertex.index()];
+        if !state.is_summed {
+            state.is_summed = true;
+            state.fan = Fan::new(self.mesh, vertex);
         }
     }
 
@@ -200,17 +202,19 @@ impl<'a> Run<'a> {
     }
 
     fn set_aside(&mut self, edge: EdgeId) {
-        self.is_aside[edge.index()] = true;
+        self.evaluated_at[edge.index()] = ASIDE;
         for end in self.edges.ends(edge) {
-            self.has_aside[end.index()] = true;
+            self.vertices[end.index()].has_aside = true;
         }
     }
 
     fn collapse(&mut self, edge: EdgeId, to: DVec3) -> Collapse {
         let [keep, drop] = self.edges.ends(edge);
         let collapse = self.mesh.collapse(keep, drop, to);
-        self.edges.apply(self.mesh, &collapse);
-        self.has_aside[keep.index()] |= self.has_aside[drop.index()];
+        for dead in self.edges.apply(self.mesh, &collapse).died {
+            self.evaluated_at[dead.index()] = DEAD;
+        }
+        self.vertices[keep.index()].has_aside |= self.vertices[drop.index()].has_aside;
         self.now += 1;
         collapse
     }
@@ -218,24 +222,32 @@ impl<'a> Run<'a> {
     /// Marks U(v) as changed and returns its edges that were set aside to the queue.
     fn bring_back(&mut self, v: VertexId) {
         self.touch(v);
+        // Around a closed fan every neighbour follows v in one triangle.
+        let is_closed = self.mesh.is_closed_fan(v);
         for i in 0..self.mesh.faces_around(v).len() {
-            let face = self.mesh.faces_around(v)[i];
-            for vertex in self.mesh.vertices_of(face) {
-                self.touch(vertex);
+            let [next, last] = self.mesh.turned_to(self.mesh.faces_around(v)[i], v);
+            self.touch(next);
+            if !is_closed {
+                self.touch(last);
             }
         }
     }
 
     fn touch(&mut self, vertex: VertexId) {
-        if std::mem::replace(&mut self.changed_at[vertex.index()], self.now) == self.now {
-            return;
+        let state = &mut self.vertices[vertex.index()];
+        state.changed_at = self.now;
+        state.is_summed = false;
+        if std::mem::take(&mut state.has_aside) {
+            self.queue_again(vertex);
         }
-        if !std::mem::take(&mut self.has_aside[vertex.index()]) {
-            return;
-        }
-        for i in 0..self.edges.edges_around(vertex).len() {
-            let edge = self.edges.edges_around(vertex)[i];
-            if std::mem::take(&mut self.is_aside[edge.index()]) {
+    }
+
+    #[cold]
+    fn queue_again(&mut self, vertex: VertexId) {
+        for &edge in self.edges.edges_around(vertex) {
+            let evaluated_at = &mut self.evaluated_at[edge.index()];
+            if *evaluated_at == ASIDE {
+                *evaluated_at = 0;
                 // The lowest key there is: evaluated at once, when the next edge is sought.
                 self.queue.push(Entry::new(0.0, edge));
             }

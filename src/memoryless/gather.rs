@@ -42,13 +42,17 @@ impl Fan {
         let mut shared = Self::default();
         let (at_a, at_b) = (mesh.faces_around(a), mesh.faces_around(b));
         let (mut i, mut j) = (0, 0);
+        let (mut found, mut n_found) = ([FaceId(0); 8], 0);
+        // Both lists ascend. No branches in here: which is lower cannot be predicted.
         while let (Some(&f), Some(&g)) = (at_a.get(i), at_b.get(j)) {
-            if f == g {
-                shared.add(mesh.area_normal(f));
-            }
-            // Both lists ascend. No branches here: which is lower cannot be predicted.
+            found[n_found % found.len()] = f;
+            n_found += usize::from(f == g);
             i += usize::from(f <= g);
             j += usize::from(g <= f);
+        }
+        match found.get(..n_found) {
+            Some(found) => found.iter().for_each(|&f| shared.add(mesh.area_normal(f))),
+            None => mesh.edge_faces(a, b).iter().for_each(|&f| shared.add(mesh.area_normal(f))),
         }
         shared
     }
@@ -94,22 +98,17 @@ impl Surroundings {
         let shared = Fan::shared(mesh, a, b);
         // Products of two normals carry length⁴. The planes of shared triangles hold both ends:
         // they drop out of Σ dᵢ and Σ dᵢnᵢ.
-        let scale2 = scale * scale;
-        let (ha, hb) = (at_a.matrix * h * scale2, at_b.matrix * h * scale2);
-        let hs = shared.matrix * h * scale2;
-        let matrix = (at_a.matrix + at_b.matrix + shared.matrix * -1.0) * scale2;
+        let scale2 = scale * scale / 18.0;
+        let matrix = (at_a.matrix + at_b.matrix - shared.matrix) * scale2;
+        let tilt = (at_b.matrix - at_a.matrix) * scale2;
         Some(Self {
             middle: from + edge * 0.5,
             length,
             h,
             normal: (at_a.normal + at_b.normal - shared.normal) * scale,
             offset: h.dot(at_b.normal - at_a.normal) * scale,
-            normal2: matrix.trace(),
-            volume: Quadratic {
-                a: matrix * (1.0 / 18.0),
-                b: (hb - ha) * (1.0 / 18.0),
-                c: h.dot(ha + hb - hs) * (1.0 / 18.0),
-            },
+            normal2: matrix.trace() * 18.0,
+            volume: Quadratic { a: matrix, b: tilt * h, c: h.dot(matrix * h) },
         })
     }
 
@@ -166,7 +165,7 @@ pub(super) fn boundary(
 fn swept_area2(e: DVec3, c: DVec3) -> Quadratic {
     let identity = Symmetric::scaled_identity(e.length_squared());
     Quadratic {
-        a: (identity + Symmetric::outer(e) * -1.0) * 0.5,
+        a: (identity - Symmetric::outer(e)) * 0.5,
         b: c.cross(e) * 0.5,
         c: c.length_squared() * 0.5,
     }
@@ -225,9 +224,8 @@ mod tests {
                 let s = surroundings(&mesh, a, b).unwrap();
                 let x = DVec3::new(0.3, -0.7, 0.2);
                 let expected = by_definition(&mesh, a, b, x);
-                let boundary = boundary(&mesh, [a, b], &s).map_or([0.0; 2], |b| {
-                    [b.preservation.value(x), b.optimisation.value(x)]
-                });
+                let boundary = boundary(&mesh, [a, b], &s)
+                    .map_or([0.0; 2], |b| [b.preservation.value(x), b.optimisation.value(x)]);
                 let swept = -(s.normal.dot(x) - s.offset) / 6.0;
                 let found = [swept, s.volume.value(x), boundary[0], boundary[1]];
                 for (found, expected) in found.into_iter().zip(expected) {

@@ -11,11 +11,11 @@
 //!
 //! Knows nothing of attributes (the mesh carries them along), files, pictures or jobs.
 
+mod constraints;
 mod driver;
+mod gather;
 mod params;
 mod placement;
-mod gather;
-mod constraints;
 mod quadratic;
 mod queue;
 #[cfg(test)]

@@ -203,13 +203,12 @@ impl Place<'_> {
 /// cosine `min_cos`, or flatten it to nothing. Triangles without area may turn as they like.
 pub fn turns_too_far(mesh: &EditMesh, [a, b]: [VertexId; 2], to: DVec3, min_cos: f64) -> bool {
     let turns = |face: FaceId, end: VertexId, other: VertexId| {
-        let vertices = mesh.vertices_of(face);
-        if vertices.contains(&other) {
+        let [next, last] = mesh.turned_to(face, end);
+        if next == other || last == other {
             return false;
         }
         let before = mesh.area_normal(face);
-        let [p0, p1, p2] = vertices.map(|v| if v == end { to } else { mesh.position(v) });
-        let after = (p1 - p0).cross(p2 - p0);
+        let after = (mesh.position(next) - to).cross(mesh.position(last) - to);
         let size2 = before.length_squared();
         size2 > 0.0 && before.dot(after) <= min_cos * (size2.sqrt() * after.length())
     };

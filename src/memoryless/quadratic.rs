@@ -1,6 +1,6 @@
 //! Quadratic objectives in three unknowns: f(x) = ½ xᵀAx − bᵀx + ½c (equation 3).
 
-use std::ops::{Add, AddAssign, Mul};
+use std::ops::{Add, AddAssign, Mul, Sub};
 
 use glam::DVec3;
 
@@ -63,6 +63,14 @@ impl Add for Symmetric {
     #[inline]
     fn add(self, other: Self) -> Self {
         Self { diagonal: self.diagonal + other.diagonal, off: self.off + other.off }
+    }
+}
+
+impl Sub for Symmetric {
+    type Output = Self;
+    #[inline]
+    fn sub(self, other: Self) -> Self {
+        Self { diagonal: self.diagonal - other.diagonal, off: self.off - other.off }
     }
 }
 

@@ -1,9 +1,16 @@
-//! The edge queue: a min-heap with four children per node, one 64-bit word per entry.
+//! The edge queue: cheapest first, one 64-bit word per entry.
 //!
 //! The upper half of a word is the cost, to 21 bits of mantissa, the lower half the edge; so the
 //! order is by cost, then by edge id, and the same on every machine.
 //!
+//! Invariants:
+//! 1. every entry in `near` is less than `limit`, every entry in `far` is not;
+//! 2. `near` is a min-heap with four children per node; it stays small enough for the cache,
+//!    while `far`, which holds most entries most of the time, has no order to keep.
+//!
 //! Knows nothing of edges that died or changed: the driver sorts that out when they come up.
+
+use std::cmp::Reverse;
 
 use crate::mesh::EdgeId;
 
@@ -27,76 +34,104 @@ impl Entry {
     }
 }
 
+/// The part of the far entries that comes near at a time, and the fewest that do.
+const NEAR_SHARE: usize = 4;
+const MIN_NEAR: usize = 2048;
+
 /// Entries, cheapest first.
 #[derive(Clone, Debug)]
-pub(super) struct Queue(Vec<Entry>);
+pub(super) struct Queue {
+    near: Vec<Entry>,
+    far: Vec<Entry>,
+    limit: Entry,
+}
 
 impl Queue {
     /// A queue of the given entries. O(n).
     pub(super) fn new(entries: Vec<Entry>) -> Self {
-        let mut queue = Self(entries);
-        for at in (0..queue.0.len().div_ceil(N_CHILDREN)).rev() {
-            queue.sink(at);
-        }
+        let mut queue = Self { near: Vec::new(), far: entries, limit: Entry(0) };
+        queue.refill();
         queue
     }
 
     /// The cheapest entry.
     #[inline]
     pub(super) fn peek(&self) -> Option<Entry> {
-        self.0.first().copied()
+        self.near.first().copied()
     }
 
     /// Takes the cheapest entry out.
     pub(super) fn pop(&mut self) -> Option<Entry> {
         let cheapest = self.peek()?;
-        let last = self.0.pop()?;
-        if let Some(root) = self.0.first_mut() {
-            *root = last;
-            self.sink(0);
+        let last = self.near.pop()?;
+        if self.near.is_empty() {
+            self.refill();
+        } else {
+            sink(&mut self.near, 0, last);
         }
         Some(cheapest)
     }
 
     /// Exchanges the cheapest entry for another one.
     pub(super) fn replace_top(&mut self, entry: Entry) {
-        if let Some(root) = self.0.first_mut() {
-            *root = entry;
-            self.sink(0);
+        if entry < self.limit {
+            sink(&mut self.near, 0, entry);
+        } else {
+            self.far.push(entry);
+            self.pop();
         }
     }
 
     /// Adds an entry.
     pub(super) fn push(&mut self, entry: Entry) {
-        let mut at = self.0.len();
-        self.0.push(entry);
+        if entry >= self.limit {
+            self.far.push(entry);
+            if self.near.is_empty() {
+                self.refill();
+            }
+            return;
+        }
+        let mut at = self.near.len();
+        self.near.push(entry);
         while at > 0 {
             let parent = (at - 1) / N_CHILDREN;
-            if self.0[parent] <= entry {
+            if self.near[parent] <= entry {
                 break;
             }
-            self.0[at] = self.0[parent];
+            self.near[at] = self.near[parent];
             at = parent;
         }
-        self.0[at] = entry;
+        self.near[at] = entry;
     }
 
-    /// Moves the entry at `at` down to its place.
-    #[inline]
-    fn sink(&mut self, mut at: usize) {
-        let heap = &mut self.0[..];
-        let Some(&entry) = heap.get(at) else { return };
-        loop {
-            let first = at * N_CHILDREN + 1;
-            let Some((child, least)) = least_child(heap, first) else { break };
-            if entry <= least {
-                break;
-            }
-            heap[at] = least;
-            at = child;
+    /// Brings the cheapest far entries near, which is empty.
+    fn refill(&mut self) {
+        let n = (self.far.len() / NEAR_SHARE).max(MIN_NEAR).min(self.far.len());
+        let Some(last) = self.far.len().checked_sub(n.max(1)) else { return };
+        // The n cheapest go to the end, the dearest of them first.
+        let (_, &mut dearest, _) = self.far.select_nth_unstable_by_key(last, |&e| Reverse(e));
+        self.limit = Entry(dearest.0.saturating_add(1));
+        self.near.extend(self.far.drain(last..));
+        for at in (0..self.near.len().div_ceil(N_CHILDREN)).rev() {
+            let entry = self.near[at];
+            sink(&mut self.near, at, entry);
         }
-        heap[at] = entry;
     }
+}
+
+/// Puts an entry at `at` or, after lesser ones have moved up, below.
+#[inline]
+fn sink(heap: &mut [Entry], mut at: usize, entry: Entry) {
+    loop {
+        let first = at * N_CHILDREN + 1;
+        let Some((child, least)) = least_child(heap, first) else { break };
+        if entry <= least {
+            break;
+        }
+        heap[at] = least;
+        at = child;
+    }
+    heap[at] = entry;
 }
 
 /// The least of the up to four entries from `first` on, and where it is.

@@ -98,7 +98,7 @@ impl EditMesh {
         for r in &record.rewedged {
             self.set_wedge(r.corner, r.to);
         }
-        self.mesh.positions[keep.index()] = record.to;
+        self.put(keep, record.to);
         self.refresh_normals(keep);
     }
 
@@ -123,19 +123,10 @@ impl EditMesh {
             }
         }
         self.n_faces += record.removed.len();
-        self.mesh.positions[keep.index()] = record.keep_from;
-        self.mesh.positions[drop.index()] = record.drop_from;
+        self.put(keep, record.keep_from);
+        self.put(drop, record.drop_from);
         self.refresh_normals(keep);
         self.refresh_normals(drop);
-    }
-
-    /// Hangs a corner of a living triangle on another vertex; lists and normals are the caller's.
-    pub(super) fn set_vertex(&mut self, corner: Corner, vertex: VertexId) {
-        let mut vertices = self.mesh.faces[corner.face().index()];
-        self.weigh(vertices, false);
-        vertices[corner.k()] = vertex.0;
-        self.weigh(vertices, true);
-        self.mesh.faces[corner.face().index()] = vertices;
     }
 
     pub(super) fn set_wedge(&mut self, corner: Corner, wedge: WedgeId) {

@@ -32,21 +32,24 @@ pub struct EdgeChange {
     pub died: SmallVec<[EdgeId; 4]>,
 }
 
+/// Edges at a vertex, each with its far end.
+type Spokes = SmallVec<[(EdgeId, VertexId); 16]>;
+
 impl EdgeTable {
     /// The edges of a mesh. O(triangles).
     pub fn new(mesh: &EditMesh) -> Self {
         let mut ends = Vec::with_capacity(mesh.n_faces() * 3 / 2);
-        let mut upper = Vec::new();
         for v in (0..mesh.n_vertex_slots() as u32).map(VertexId) {
-            mesh.neighbours(v, &mut upper);
-            ends.extend(upper.iter().filter(|&&w| w > v).map(|&w| [v, w]));
+            let upper = mesh.neighbours_if(v, |w| w > v);
+            ends.extend(upper.into_iter().map(|w| [v, w]));
         }
         ends.shrink_to_fit();
-        let around = {
-            let by_end =
-                |(e, pair): (usize, &[VertexId; 2])| pair.map(|v| (v.index(), EdgeId(e as u32)));
-            Lists::from_pairs(mesh.n_vertex_slots(), ends.iter().enumerate().flat_map(by_end))
-        };
+        let mut around = Lists::new(std::iter::repeat_n((), mesh.n_vertex_slots()));
+        for (edge, pair) in ends.iter().enumerate() {
+            for v in pair {
+                around.push(v.index(), EdgeId(edge as u32));
+            }
+        }
         Self { alive: vec![true; ends.len()], ends, around }
     }
 
@@ -96,31 +99,44 @@ impl EdgeTable {
     pub fn apply(&mut self, mesh: &EditMesh, collapse: &Collapse) -> EdgeChange {
         let (keep, drop) = (collapse.keep, collapse.drop);
         let mut change = EdgeChange::default();
-        let at_drop: SmallVec<[EdgeId; 16]> = self.edges_around(drop).into();
-        let mut at_keep: SmallVec<[EdgeId; 32]> = self.edges_around(keep).into();
-        for edge in at_drop {
-            let far = self.other_end(edge, drop);
-            if far == keep {
-                at_keep.retain(|e| *e != edge);
-                self.bury(edge, &mut change);
-                continue;
-            }
-            match at_keep.iter().position(|&e| self.other_end(e, keep) == far) {
-                Some(at) => {
-                    let loser = at_keep[at].max(edge);
-                    at_keep[at] = at_keep[at].min(edge);
+        let at_drop = self.spokes(drop, keep);
+        let mut at_keep = self.spokes(keep, drop);
+        if let Some(edge) = self.find(keep, drop) {
+            self.bury(edge, &mut change);
+        }
+        for (edge, far) in at_drop {
+            self.ends[edge.index()] = if far < keep { [far, keep] } else { [keep, far] };
+            match at_keep.iter_mut().find(|spoke| spoke.1 == far) {
+                Some(spoke) => {
+                    let loser = spoke.0.max(edge);
+                    spoke.0 = spoke.0.min(edge);
                     self.around.remove(far.index(), loser);
                     self.bury(loser, &mut change);
                 }
-                None => at_keep.push(edge),
+                None => at_keep.push((edge, far)),
             }
-            self.ends[edge.index()] = if far < keep { [far, keep] } else { [keep, far] };
         }
         self.drop_bare_edges(mesh, collapse, &mut at_keep, &mut change);
         at_keep.sort_unstable();
-        self.around.set(keep.index(), &at_keep);
+        let mut joined: SmallVec<[EdgeId; 24]> = SmallVec::new();
+        for &(edge, _) in &at_keep {
+            joined.push(edge);
+        }
+        self.around.set(keep.index(), &joined);
         self.around.clear(drop.index());
         change
+    }
+
+    /// The edges at `vertex`, but not the one to `other`.
+    fn spokes(&self, vertex: VertexId, other: VertexId) -> Spokes {
+        let mut spokes = Spokes::new();
+        for &edge in self.edges_around(vertex) {
+            let far = self.other_end(edge, vertex);
+            if far != other {
+                spokes.push((edge, far));
+            }
+        }
+        spokes
     }
 
     /// Edges between `keep` and the third vertex of a removed triangle may have lost their last.
@@ -128,7 +144,7 @@ impl EdgeTable {
         &mut self,
         mesh: &EditMesh,
         collapse: &Collapse,
-        at_keep: &mut SmallVec<[EdgeId; 32]>,
+        at_keep: &mut Spokes,
         change: &mut EdgeChange,
     ) {
         let ends = [collapse.keep, collapse.drop];
@@ -136,11 +152,12 @@ impl EdgeTable {
             let Some(apex) = removed.vertices.into_iter().find(|v| !ends.contains(v)) else {
                 continue;
             };
-            if mesh.edge_faces(apex, collapse.keep).is_empty()
-                && let Some(at) =
-                    at_keep.iter().position(|&e| self.other_end(e, collapse.keep) == apex)
-            {
-                let bare = at_keep.remove(at);
+            let holds_keep = |&f: &_| mesh.vertices_of(f).contains(&collapse.keep);
+            if mesh.faces_around(apex).iter().any(holds_keep) {
+                continue;
+            }
+            if let Some(at) = at_keep.iter().position(|spoke| spoke.1 == apex) {
+                let (bare, _) = at_keep.remove(at);
                 self.around.remove(apex.index(), bare);
                 self.bury(bare, change);
             }

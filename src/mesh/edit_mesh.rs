@@ -11,8 +11,8 @@
 //! 3. `n_faces()` counts living triangles, `n_vertices()` vertices with a living triangle;
 //! 4. `area_normal(f)` of a living triangle is the cross product of its current positions;
 //! 5. the lists of 2 are sound (see `lists`);
-//! 6. `balance[v]` is the sum, over the living triangles (v, q, r) in their direction, of
-//!    mix(q) − mix(r), modulo 2⁶⁴.
+//! 6. beside the list of a vertex v lie a copy of its position and its balance: the sum, over the
+//!    living triangles (v, q, r) in their direction, of mix(q) − mix(r), modulo 2⁶⁴.
 //!
 //! Ids are stable: dead slots stay reserved, so that an undo restores the same ids.
 
@@ -20,35 +20,62 @@ use glam::DVec3;
 use smallvec::SmallVec;
 
 use super::error::{MeshError, Violation};
-use super::lists::Lists;
-use super::model::{FaceId, Mesh, VertexId, WedgeId};
+use super::lists::{CacheLine, Lists};
+use super::model::{Corner, FaceId, Mesh, VertexId, WedgeId};
 
 /// A mesh with connectivity for local edits.
 #[derive(Clone, Debug)]
 pub struct EditMesh {
     pub(super) mesh: Mesh,
     pub(super) alive: Vec<bool>,
-    pub(super) around: Lists<FaceId>,
+    /// The list of triangles around each vertex, with its site beside it.
+    pub(super) around: Lists<FaceId, Site, CacheLine>,
     pub(super) normals: Vec<DVec3>,
-    pub(super) balance: Vec<u64>,
     pub(super) n_faces: usize,
     pub(super) n_vertices: usize,
+}
+
+/// The surroundings of a vertex.
+pub(super) struct Ring {
+    /// Its neighbours, ascending.
+    pub(super) vertices: SmallVec<[VertexId; 24]>,
+    /// Whether some edge at it has not exactly two triangles.
+    pub(super) is_border: bool,
+}
+
+/// What an edit reads of a vertex besides its triangles; with them exactly one cache line.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Site {
+    /// A copy of the vertex's entry in `mesh.positions`.
+    position: DVec3,
+    /// See invariant 6.
+    balance: u64,
 }
 
 impl EditMesh {
     /// Takes over a mesh. O(triangles).
     pub fn new(mesh: Mesh) -> Result<Self, MeshError> {
         mesh.check()?;
-        let corners = mesh.faces.iter().enumerate().flat_map(|(f, vertices)| {
-            vertices.iter().map(move |&v| (v as usize, FaceId(f as u32)))
-        });
-        let around = Lists::from_pairs(mesh.positions.len(), corners);
         let n_faces = mesh.faces.len();
-        let n_vertices = (0..around.len()).filter(|&v| !around.get(v).is_empty()).count();
-        let normals = mesh.faces.iter().map(|&face| area_normal(&mesh.positions, face)).collect();
-        let balance = balances(&mesh, 0..n_faces as u32);
-        let alive = vec![true; n_faces];
-        Ok(Self { mesh, alive, around, normals, balance, n_faces, n_vertices })
+        let sites = mesh.positions.iter().map(|&position| Site { position, balance: 0 });
+        let mut this = Self {
+            alive: vec![true; n_faces],
+            around: Lists::new(sites),
+            normals: mesh.faces.iter().map(|&face| area_normal(&mesh.positions, face)).collect(),
+            mesh,
+            n_faces,
+            n_vertices: 0,
+        };
+        for f in 0..n_faces {
+            let vertices = this.mesh.faces[f];
+            for v in vertices {
+                this.around.push(v as usize, FaceId(f as u32));
+            }
+            this.weigh(vertices, true);
+        }
+        let is_used = |&v: &usize| !this.around.get(v).is_empty();
+        this.n_vertices = (0..this.around.len()).filter(is_used).count();
+        Ok(this)
     }
 
     /// The mesh underneath: dead triangles and unused vertices included, wedges of all levels.
@@ -113,7 +140,7 @@ impl EditMesh {
     /// Where a vertex is, model space.
     #[inline]
     pub fn position(&self, vertex: VertexId) -> DVec3 {
-        self.mesh.positions[vertex.index()]
+        self.around.companion(vertex.index()).position
     }
 
     /// Twice the area vector of a living triangle: (p1 − p0) × (p2 − p0), squared length units.
@@ -131,16 +158,7 @@ impl EditMesh {
     /// The vertices that share a living triangle with `vertex`, ascending, into `out`.
     pub fn neighbours(&self, vertex: VertexId, out: &mut Vec<VertexId>) {
         out.clear();
-        let is_closed = self.is_closed_fan(vertex);
-        for &face in self.faces_around(vertex) {
-            let [next, last] = self.turned_to(face, vertex);
-            out.push(next);
-            if !is_closed {
-                out.push(last);
-            }
-        }
-        out.sort_unstable();
-        out.dedup();
+        out.extend(self.neighbours_if(vertex, |_| true));
     }
 
     /// Whether the edge has exactly one triangle.
@@ -151,7 +169,7 @@ impl EditMesh {
     /// Whether some edge at the vertex has not exactly two triangles: it lies on a boundary or
     /// on a non-manifold edge.
     pub fn is_border_vertex(&self, vertex: VertexId) -> bool {
-        self.ring(vertex).iter().any(|&(_, n_faces)| n_faces != 2)
+        self.ring(vertex).is_border
     }
 
     /// Whether every neighbour of the vertex follows it in as many triangles as it precedes it:
@@ -160,48 +178,87 @@ impl EditMesh {
     /// (Decided by a checksum: a boundary passes for closed with a chance of 2⁻⁶⁴.)
     #[inline]
     pub fn is_closed_fan(&self, vertex: VertexId) -> bool {
-        self.balance[vertex.index()] == 0
+        self.around.companion(vertex.index()).balance == 0
     }
 
-    /// Neighbours of a vertex, ascending, each with the number of triangles of its edge.
-    pub(super) fn ring(&self, vertex: VertexId) -> SmallVec<[(VertexId, u32); 16]> {
-        let mut ring: SmallVec<[(VertexId, u32); 16]> = SmallVec::new();
-        // In a closed fan every neighbour is met as often in the one direction as in the other.
+    /// The neighbours of a vertex that pass a test, ascending.
+    pub(super) fn neighbours_if(
+        &self,
+        vertex: VertexId,
+        test: impl Fn(VertexId) -> bool,
+    ) -> SmallVec<[VertexId; 24]> {
+        let mut found = self.spokes_if(vertex, test);
+        found.dedup();
+        found
+    }
+
+    /// The neighbours of a vertex and whether it lies on a border.
+    pub(super) fn ring(&self, vertex: VertexId) -> Ring {
+        let mut vertices = self.spokes_if(vertex, |_| true);
+        let n_times = if self.is_closed_fan(vertex) { 1 } else { 2 };
+        let is_border = vertices.chunk_by(|a, b| a == b).any(|same| same.len() != n_times);
+        vertices.dedup();
+        Ring { vertices, is_border }
+    }
+
+    /// The other ends of the triangles' sides at a vertex that pass a test, ascending: in a
+    /// closed fan, where each comes up once in either direction, of one direction only.
+    #[inline]
+    fn spokes_if(
+        &self,
+        vertex: VertexId,
+        test: impl Fn(VertexId) -> bool,
+    ) -> SmallVec<[VertexId; 24]> {
+        let mut found = SmallVec::new();
         let is_closed = self.is_closed_fan(vertex);
         for &face in self.faces_around(vertex) {
             let [next, last] = self.turned_to(face, vertex);
-            ring.push((next, if is_closed { 2 } else { 1 }));
-            if !is_closed {
-                ring.push((last, 1));
+            if test(next) {
+                found.push(next);
+            }
+            if !is_closed && test(last) {
+                found.push(last);
             }
         }
-        ring.sort_unstable();
-        ring.dedup_by(|again, first| {
-            let is_same = again.0 == first.0;
-            first.1 += if is_same { again.1 } else { 0 };
-            is_same
-        });
-        ring
+        found.sort_unstable();
+        found
     }
 
     /// The other two vertices of a triangle in its direction, from `vertex` on.
     #[inline]
     pub fn turned_to(&self, face: FaceId, vertex: VertexId) -> [VertexId; 2] {
         let [p, q, r] = self.vertices_of(face);
-        if p == vertex {
-            [q, r]
-        } else if q == vertex {
-            [r, p]
-        } else {
-            [p, q]
-        }
+        // Two selections instead of one branch that nothing could predict.
+        let (is_p, is_q) = (p == vertex, q == vertex);
+        let next = if is_q { r } else { p };
+        let last = if is_q { p } else { q };
+        [if is_p { q } else { next }, if is_p { r } else { last }]
     }
 
     /// Moves a vertex; returns where it was, which is all an undo needs.
     pub fn move_vertex(&mut self, vertex: VertexId, to: DVec3) -> DVec3 {
-        let from = std::mem::replace(&mut self.mesh.positions[vertex.index()], to);
+        let from = self.position(vertex);
+        self.put(vertex, to);
         self.refresh_normals(vertex);
         from
+    }
+
+    /// Sets a position; normals are the caller's.
+    pub(super) fn put(&mut self, vertex: VertexId, to: DVec3) {
+        self.mesh.positions[vertex.index()] = to;
+        self.around.companion_mut(vertex.index()).position = to;
+    }
+
+    /// Appends a vertex without triangles.
+    pub(super) fn push_vertex(&mut self, position: DVec3) {
+        self.mesh.positions.push(position);
+        self.around.push_list(Site { position, balance: 0 });
+    }
+
+    /// Removes the last vertex, which has no triangles.
+    pub(super) fn pop_vertex(&mut self) {
+        self.mesh.positions.pop();
+        self.around.pop_list();
     }
 
     /// Recomputes the area normals of the triangles at a vertex.
@@ -213,12 +270,32 @@ impl EditMesh {
     }
 
     /// Counts a triangle in (or out) of the balance of its corners.
-    #[inline]
     pub(super) fn weigh(&mut self, vertices: [u32; 3], is_in: bool) {
-        for (v, share) in vertices.into_iter().zip(imbalance(vertices)) {
-            let balance = &mut self.balance[v as usize];
-            *balance = if is_in { balance.wrapping_add(share) } else { balance.wrapping_sub(share) };
+        let [p, q, r] = vertices.map(mix);
+        let shares = [q.wrapping_sub(r), r.wrapping_sub(p), p.wrapping_sub(q)];
+        for (v, share) in vertices.into_iter().zip(shares) {
+            self.tip(v, if is_in { share } else { share.wrapping_neg() });
         }
+    }
+
+    /// Hangs a corner of a living triangle on another vertex; lists and normals are the caller's.
+    pub(super) fn set_vertex(&mut self, corner: Corner, vertex: VertexId) {
+        let (face, k) = (corner.face().index(), corner.k());
+        let vertices = &mut self.mesh.faces[face];
+        let old = std::mem::replace(&mut vertices[k], vertex.0);
+        let [next, last] = [vertices[(k + 1) % 3], vertices[(k + 2) % 3]];
+        let (mix_next, mix_last) = (mix(next), mix(last));
+        let gain = mix(vertex.0).wrapping_sub(mix(old));
+        self.tip(old, mix_last.wrapping_sub(mix_next));
+        self.tip(vertex.0, mix_next.wrapping_sub(mix_last));
+        self.tip(next, gain.wrapping_neg());
+        self.tip(last, gain);
+    }
+
+    #[inline]
+    fn tip(&mut self, vertex: u32, share: u64) {
+        let site = self.around.companion_mut(vertex as usize);
+        site.balance = site.balance.wrapping_add(share);
     }
 
     /// Adds a triangle to the list of a vertex.
@@ -247,34 +324,44 @@ impl EditMesh {
 
     /// Checks invariants 1 to 6; O(triangles). For tests, after every edit.
     pub fn validate(&self) -> Result<(), Violation> {
-        self.mesh.check()?;
-        let corners = self.faces().flat_map(|f| self.vertices_of(f).map(|v| (v.index(), f)));
-        let around = Lists::from_pairs(self.n_vertex_slots(), corners);
+        let fresh = Self::of_living(self)?;
+        let vertices = 0..self.n_vertex_slots();
         if self.around.len() != self.n_vertex_slots() || !self.around.is_sound() {
             return Err(Violation::Pool);
         }
-        let differs = |&v: &usize| around.get(v) != self.around.get(v);
-        if let Some(vertex) = (0..around.len()).find(differs) {
+        let differs = |&v: &usize| fresh.around.get(v) != self.around.get(v);
+        if let Some(vertex) = vertices.clone().find(differs) {
             return Err(Violation::Incidence { vertex });
         }
-        let n_vertices = (0..around.len()).filter(|&v| !around.get(v).is_empty()).count();
         count("living triangles", self.faces().count(), self.n_faces)?;
-        count("used vertices", n_vertices, self.n_vertices)?;
+        count("used vertices", fresh.n_vertices, self.n_vertices)?;
         count("alive flags", self.n_face_slots(), self.alive.len())?;
         count("area normals", self.n_face_slots(), self.normals.len())?;
         let bits = |n: DVec3| n.to_array().map(f64::to_bits);
-        let is_stale = |&f: &FaceId| {
-            let fresh = area_normal(&self.mesh.positions, self.mesh.faces[f.index()]);
-            bits(fresh) != bits(self.area_normal(f))
-        };
+        let is_stale = |&f: &FaceId| bits(fresh.area_normal(f)) != bits(self.area_normal(f));
         if let Some(face) = self.faces().find(is_stale) {
             return Err(Violation::Normal { face: face.index() });
         }
-        let balance = balances(&self.mesh, self.faces().map(|f| f.0));
-        match balance.iter().zip(&self.balance).position(|(fresh, kept)| fresh != kept) {
-            Some(vertex) => Err(Violation::Balance { vertex }),
-            None => count("balances", self.n_vertex_slots(), self.balance.len()),
+        let site = |mesh: &Self, v: usize| {
+            let site = mesh.around.companion(v);
+            (bits(site.position), site.balance)
+        };
+        match vertices.clone().find(|&v| site(&fresh, v) != site(self, v)) {
+            Some(vertex) => Err(Violation::Site { vertex }),
+            None => Ok(()),
         }
+    }
+
+    /// The same mesh built anew, without what is dead.
+    fn of_living(mesh: &Self) -> Result<Self, Violation> {
+        let mut fresh = Self::new(mesh.mesh.clone())?;
+        for f in (0..mesh.n_face_slots() as u32).map(FaceId).filter(|&f| !mesh.is_alive(f)) {
+            for v in fresh.vertices_of(f) {
+                fresh.detach(v, f);
+            }
+            fresh.weigh(mesh.mesh.faces[f.index()], false);
+        }
+        Ok(fresh)
     }
 }
 
@@ -287,25 +374,6 @@ fn count(what: &'static str, actual: usize, kept: usize) -> Result<(), Violation
 fn mix(vertex: u32) -> u64 {
     let x = (u64::from(vertex) + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
     (x ^ (x >> 32)).wrapping_mul(x | 1)
-}
-
-/// What a triangle adds to the balance of each of its corners.
-#[inline]
-pub(super) fn imbalance(vertices: [u32; 3]) -> [u64; 3] {
-    let [p, q, r] = vertices.map(mix);
-    [q.wrapping_sub(r), r.wrapping_sub(p), p.wrapping_sub(q)]
-}
-
-/// The balance of every vertex over the given triangles.
-fn balances(mesh: &Mesh, faces: impl Iterator<Item = u32>) -> Vec<u64> {
-    let mut balance = vec![0u64; mesh.positions.len()];
-    for face in faces {
-        let vertices = mesh.faces[face as usize];
-        for (v, share) in vertices.into_iter().zip(imbalance(vertices)) {
-            balance[v as usize] = balance[v as usize].wrapping_add(share);
-        }
-    }
-    balance
 }
 
 /// Twice the area vector of a triangle, from differences first: no cancellation far from zero.

@@ -92,9 +92,9 @@ pub enum Violation {
         /// The triangle.
         face: usize,
     },
-    /// Invariant 6: the balance of a vertex.
-    #[error("invariant 6: the balance of vertex {vertex} is out of date")]
-    Balance {
+    /// Invariant 6: what is kept beside the list of a vertex.
+    #[error("invariant 6: the position or balance beside vertex {vertex} is out of date")]
+    Site {
         /// The vertex.
         vertex: usize,
     },

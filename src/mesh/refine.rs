@@ -50,9 +50,7 @@ impl EditMesh {
     /// Applies a split that was undone in exactly this state.
     pub fn resplit(&mut self, record: &Split) {
         let v = record.vertex;
-        self.mesh.positions.push(record.at);
-        self.around.push_list();
-        self.balance.push(0);
+        self.push_vertex(record.at);
         self.append_wedges(&record.new_wedges);
         for half in &record.halves {
             let [at_a, at_b] = [record.a, record.b].map(|end| corner_of(half.vertices, end));
@@ -106,9 +104,7 @@ impl EditMesh {
             self.attach(record.b, half.face);
         }
         self.truncate_wedges(record.first_new_wedge);
-        self.around.pop_list();
-        self.balance.pop();
-        self.mesh.positions.pop();
+        self.pop_vertex();
         self.refresh_normals(record.b);
     }
 
