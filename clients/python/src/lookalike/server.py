@@ -78,6 +78,14 @@ class Server:
                 self._process.stdout.close()
             self._process = None
 
+    def workers(self) -> list[int]:
+        """Process ids of the server's own workers (on Linux)."""
+        if self._process is None:
+            return []
+        pid = self._process.pid
+        found = Path(f"/proc/{pid}/task").glob("*/children")
+        return sorted(int(child) for path in found for child in path.read_text().split())
+
     def __enter__(self) -> Server:
         self.start()
         return self
