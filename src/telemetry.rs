@@ -1,1 +1,74 @@
-//! telemetry
+//! Logs and metrics: set up once, by `main`, and the page that Prometheus reads.
+//!
+//! Everything else only uses the `tracing` and `metrics` facades.
+
+use std::{
+    io::{self, IsTerminal},
+    net::SocketAddr,
+};
+
+use axum::{Router, routing::get};
+use metrics_exporter_prometheus::{BuildError, PrometheusBuilder, PrometheusHandle};
+use tokio::net::TcpListener;
+use tokio_util::sync::CancellationToken;
+use tracing_subscriber::EnvFilter;
+
+/// Sends logs to standard error: everything from `level` on, unless `filter` (the syntax of
+/// `RUST_LOG`) says otherwise. A second call changes nothing.
+pub fn init_logs(level: &str, filter: Option<&str>, json: bool) {
+    let filter = EnvFilter::try_new(filter.unwrap_or(level));
+    let filter = filter.unwrap_or_else(|_| EnvFilter::new(level));
+    let logs = tracing_subscriber::fmt().with_env_filter(filter).with_writer(io::stderr);
+    let set = if json {
+        logs.json().flatten_event(true).try_init()
+    } else {
+        logs.with_target(false).with_ansi(io::stderr().is_terminal()).try_init()
+    };
+    // Only fails when logs are set up already.
+    drop(set);
+}
+
+/// Collects metrics from now on; the handle renders them.
+pub fn install_metrics() -> Result<PrometheusHandle, BuildError> {
+    PrometheusBuilder::new().install_recorder()
+}
+
+/// Serves `/metrics` (calling `refresh` before each page), `/healthz` (the process lives) and
+/// `/readyz` (the store answers) until `shutdown`.
+pub async fn serve_metrics<F>(
+    listener: TcpListener,
+    page: PrometheusHandle,
+    refresh: impl Fn() -> F + Clone + Send + Sync + 'static,
+    shutdown: CancellationToken,
+) -> io::Result<()>
+where
+    F: Future<Output = Result<(), String>> + Send + 'static,
+{
+    use axum::http::{StatusCode, header::CONTENT_TYPE};
+    let ready = refresh.clone();
+    let metrics = move || async move {
+        match refresh().await {
+            Ok(()) => {
+                let kind = [(CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")];
+                Ok((kind, page.render()))
+            }
+            Err(text) => Err((StatusCode::SERVICE_UNAVAILABLE, text)),
+        }
+    };
+    let readyz = move || async move {
+        ready().await.map(|()| "ready\n").map_err(|text| (StatusCode::SERVICE_UNAVAILABLE, text))
+    };
+    let router = Router::new()
+        .route("/metrics", get(metrics))
+        .route("/healthz", get(async || "alive\n"))
+        .route("/readyz", get(readyz));
+    axum::serve(listener, router).with_graceful_shutdown(shutdown.cancelled_owned()).await
+}
+
+/// Binds a socket; the error names the address and the remedy.
+pub async fn bind(flag: &str, address: SocketAddr) -> io::Result<TcpListener> {
+    TcpListener::bind(address).await.map_err(|source| {
+        let text = format!("{address}: {source}; free the port, or choose another with {flag}");
+        io::Error::new(source.kind(), text)
+    })
+}

@@ -93,6 +93,16 @@ impl Jobs {
         Ok(jobs)
     }
 
+    /// Looks into a data directory that no server uses, without touching its jobs: how many are in
+    /// each state.
+    pub async fn inspect(data_dir: &Path) -> Result<Vec<(state::State, u64)>> {
+        let _lock = lock(data_dir)?;
+        let store = Store::open(&data_dir.join("jobs.sqlite3")).await?;
+        let counts = store.counts().await;
+        store.close().await;
+        counts
+    }
+
     /// The terms on which leases are given.
     pub fn terms(&self) -> &Terms {
         &self.0.terms
@@ -196,3 +206,6 @@ fn is_alive(lock: &Path) -> Option<bool> {
     let file = File::open(lock).ok()?;
     Some(matches!(file.try_lock(), Err(TryLockError::WouldBlock)))
 }
+
+#[cfg(test)]
+mod tests;

@@ -3,9 +3,8 @@
 use std::{sync::Arc, time::Duration};
 
 use tokio::net::TcpListener;
-use tokio_stream::wrappers::TcpListenerStream;
 use tokio_util::sync::CancellationToken;
-use tonic::transport::Server;
+use tonic::transport::{Server, server::TcpIncoming};
 
 use super::{
     api::Api,
@@ -55,7 +54,6 @@ pub async fn serve(
         .http2_keepalive_interval(Some(Duration::from_secs(20)))
         .http2_keepalive_timeout(Some(Duration::from_secs(20)))
         .max_connection_age(Duration::from_secs(3600))
-        .tcp_nodelay(true)
         .add_service(health_service)
         .add_service(reflection)
         .add_service(LookalikeServiceServer::new(api).max_decoding_message_size(MAX_MESSAGE_BYTES))
@@ -67,5 +65,7 @@ pub async fn serve(
         health.set_not_serving::<LookalikeServiceServer<Api>>().await;
         health.set_not_serving::<WorkerServiceServer<WorkerApi>>().await;
     };
-    Ok(server.serve_with_incoming_shutdown(TcpListenerStream::new(listener), stop).await?)
+    // Small answers must not wait for the peer's delayed acknowledgement (40 ms).
+    let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));
+    Ok(server.serve_with_incoming_shutdown(incoming, stop).await?)
 }
