@@ -12,25 +12,22 @@
 
 FROM rust:1.95-bookworm AS build
 WORKDIR /src
-# Dependencies first: their layer stays when only our own code changes. The stand-ins are the least that
-# lets cargo build them all; the build script is the real one, for it compiles the protos.
-COPY Cargo.toml Cargo.lock ./
-COPY proto ./proto
-RUN mkdir src && touch src/lib.rs && echo 'fn main() {}' > src/main.rs \
+# What .dockerignore lets through.
+COPY . .
+# Dependencies and what was built of them are kept from build to build (BuildKit, the default since Docker
+# 23). Our own sources count as new, whatever times they carry. Names of functions stay in the program, for
+# the texts of panics.
+RUN --mount=type=cache,target=/usr/local/cargo/registry \
+    --mount=type=cache,target=/src/target \
+    find src proto -type f -exec touch {} + \
     && cargo build --release --locked --bin lookalike \
-    && rm -r src
-COPY src ./src
-# Newer than the stand-ins, whatever times the sources carry.
-RUN touch src/lib.rs src/main.rs \
-    && cargo build --release --locked --bin lookalike \
-    # Names of functions stay, for the texts of panics.
     && strip --strip-debug -o /lookalike target/release/lookalike
 
 FROM debian:bookworm-slim
 RUN apt-get update \
     && apt-get install --yes --no-install-recommends libvulkan1 mesa-vulkan-drivers \
     && rm -r /var/lib/apt/lists/* \
-    && useradd --system --uid 7420 --home-dir /var/lib/lookalike --shell /usr/sbin/nologin lookalike \
+    && useradd --uid 7420 --no-create-home --home-dir /var/lib/lookalike --shell /usr/sbin/nologin lookalike \
     # A new volume takes over owner and mode of what the image has there.
     && install --directory --owner lookalike --mode 0700 /var/lib/lookalike \
         /var/lib/lookalike/data /var/lib/lookalike/shaders /run/lookalike
