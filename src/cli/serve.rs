@@ -22,8 +22,8 @@ use crate::config::{ServeArgs, ServeConfig};
 
 /// Leases are looked at this often, or four times a lease if that is more often.
 const SWEEP: Duration = Duration::from_secs(1);
-/// What the end may take beyond the workers' time.
-const GRACE: Duration = Duration::from_secs(5);
+/// What open calls get to finish once the workers have ended.
+const GRACE: Duration = Duration::from_secs(3);
 
 pub(crate) async fn run(args: ServeArgs) -> Result<(), Failure> {
     let config = args.check().map_err(|faults| Failure::faults(&faults))?;
@@ -63,7 +63,7 @@ pub(crate) async fn run(args: ServeArgs) -> Result<(), Failure> {
     };
     tokio::select! {
         ended = all => { ended?; }
-        () = deadline(&stop_workers, config.drain + GRACE) => {
+        () = deadline(&stop_workers, &stop_serving) => {
             tracing::warn!("some calls did not end in time and are cut off");
         }
     }
@@ -72,13 +72,18 @@ pub(crate) async fn run(args: ServeArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Waits for a signal, starts the end, and returns when the end takes too long.
-async fn deadline(stop_workers: &CancellationToken, limit: Duration) {
+/// Waits for a signal, starts the end, and returns when the end takes too long: the workers have
+/// their own limit, and open calls get [`GRACE`] after that. A second signal cuts it short.
+async fn deadline(stop_workers: &CancellationToken, stop_serving: &CancellationToken) {
     signals::asked_to_end().await;
     tracing::info!("asked to end: workers hand their jobs back");
     stop_workers.cancel();
+    let patience = async {
+        stop_serving.cancelled().await;
+        tokio::time::sleep(GRACE).await;
+    };
     tokio::select! {
-        () = tokio::time::sleep(limit) => {}
+        () = patience => {}
         () = signals::asked_to_end() => {}
     }
 }
