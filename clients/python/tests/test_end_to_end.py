@@ -64,7 +64,7 @@ def test_levels_records_and_curve_come_back(client: lookalike.Client, tmp_path: 
 
     names = {path.name for path in result.paths}
     assert {"lod-0.glb", "lod-1.glb", "progressive.lkpm", "energy.csv", "report.json"} <= names
-    assert [lod["triangles"] for lod in result.report["lods"]] == [
+    assert [lod["triangles"] for lod in result.report["levels"]] == [
         len(level.faces) for level in result.lods
     ]
 
