@@ -24,11 +24,6 @@ impl Queue {
         Self { order: BTreeSet::new(), keys: vec![None; n_slots], stale: vec![false; n_slots] }
     }
 
-    /// Edges in the queue.
-    pub fn len(&self) -> usize {
-        self.order.len()
-    }
-
     /// Enters or moves an edge with an up-to-date key.
     pub fn set(&mut self, edge: EdgeId, key: i64) {
         self.remove(edge);
@@ -65,12 +60,6 @@ impl Queue {
         let ids = self.order.iter().take(reach).map(|(_, e)| *e);
         ids.filter(is_stale).take(n).map(EdgeId).collect()
     }
-
-    /// Every stale edge among `edges`, or every one of them that is not in the queue.
-    pub fn needing(&self, edges: &[EdgeId]) -> Vec<EdgeId> {
-        let needs = |e: &&EdgeId| self.stale[e.index()] || self.keys[e.index()].is_none();
-        edges.iter().filter(needs).copied().collect()
-    }
 }
 
 #[cfg(test)]
@@ -93,7 +82,6 @@ mod tests {
         q.mark_stale(EdgeId(3));
         assert_eq!(q.first(), Some((EdgeId(3), false)));
         q.remove(EdgeId(3));
-        assert_eq!(q.needing(&[EdgeId(0), EdgeId(3)]), [EdgeId(3)]);
-        assert_eq!(q.len(), 3);
+        assert_eq!(q.first(), Some((EdgeId(2), true)));
     }
 }

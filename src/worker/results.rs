@@ -200,7 +200,9 @@ fn write_pictures(
         let png = compare::sheet(original, &level.mesh, &compare::SheetParams::default());
         out.write(&format!("contact-{i}.png"), "image/png", &png)?;
     }
-    Ok(())
+    let chain: Vec<&Mesh> = levels.in_order().map(|l| &l.mesh).collect();
+    let png = compare::sheet_multi(original, &chain, &compare::SheetParams::chain(compare::Axis::Y));
+    out.write("levels.png", "image/png", &png)
 }
 
 fn energy_csv(samples: &[EnergySample]) -> String {
