@@ -151,7 +151,7 @@ impl EditMesh {
 
     /// The living triangles that hold both vertices, ascending; empty if there is no such edge.
     pub fn edge_faces(&self, a: VertexId, b: VertexId) -> SmallVec<[FaceId; 2]> {
-        let holds_b = |f: &FaceId| self.mesh.faces[f.index()].contains(&b.0);
+        let holds_b = |f: &FaceId| a != b && self.mesh.faces[f.index()].contains(&b.0);
         self.faces_around(a).iter().copied().filter(holds_b).collect()
     }
 
