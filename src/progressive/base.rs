@@ -13,7 +13,7 @@
 //! Only what is there at the coarsest level is stored, under the ids of the original mesh. Like
 //! a record, it is one walk with two coders.
 
-use super::{error::Damage, linked::Coder, replay::Replay};
+use super::{coder::Coder, error::Damage, replay::Replay};
 
 /// Codes vertices and faces. `vertices` and `faces` are the ids, which a decoder fills in; in the
 /// replay they are then alive.

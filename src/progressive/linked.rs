@@ -43,7 +43,8 @@
 //! In rings of more than 32 corners no third vertex has a place, and the palette begins with the
 //! wedges of the first corner's face alone. The palette holds 64 wedges at most.
 //!
-//! A record of a scanned surface takes about 38 bytes, of which 29 are positions.
+//! A record of a scanned surface takes about 37 bytes after compression (bunny 37.3, frog 35.8,
+//! without wedges), of which 26 are digits of positions.
 //!
 //! Encoder and decoder are one walk over the record with two [`Coder`]s, so they cannot differ.
 
@@ -51,7 +52,7 @@ use glam::DVec3;
 use smallvec::SmallVec;
 
 use super::{
-    bytes::{delta, put_double, put_signed, put_single, put_varint},
+    coder::Coder,
     error::Damage,
     record::{GENERAL_ORDER, in_order, order_of, same_bits, third_corner},
     replay::Replay,
@@ -66,77 +67,6 @@ const MANY_REMOVED: u8 = 3;
 /// Rings up to this size are looked through; larger ones would take square time.
 const MAX_RING: usize = 32;
 const MAX_PALETTE: usize = 64;
-
-/// Puts values into a stream, or fills them from it.
-pub(super) trait Coder {
-    fn byte(&mut self, value: &mut u8) -> Result<(), Damage>;
-    /// A small number, in `shape`.
-    fn small(&mut self, value: &mut u64) -> Result<(), Damage>;
-    /// An id by itself.
-    fn id(&mut self, value: &mut u32) -> Result<(), Damage>;
-    /// An id as a difference.
-    fn near(&mut self, from: u32, value: &mut u32) -> Result<(), Damage>;
-    fn double(&mut self, prediction: f64, value: &mut f64) -> Result<(), Damage>;
-    fn single(&mut self, prediction: f32, value: &mut f32) -> Result<(), Damage>;
-}
-
-impl Coder for Streams {
-    fn byte(&mut self, value: &mut u8) -> Result<(), Damage> {
-        self.shape.push(*value);
-        Ok(())
-    }
-    fn small(&mut self, value: &mut u64) -> Result<(), Damage> {
-        put_varint(&mut self.shape, *value);
-        Ok(())
-    }
-    fn id(&mut self, value: &mut u32) -> Result<(), Damage> {
-        put_varint(&mut self.ids, u64::from(*value));
-        Ok(())
-    }
-    fn near(&mut self, from: u32, value: &mut u32) -> Result<(), Damage> {
-        put_signed(&mut self.ids, delta(from, *value));
-        Ok(())
-    }
-    fn double(&mut self, prediction: f64, value: &mut f64) -> Result<(), Damage> {
-        let code = put_double(&mut self.digits, prediction, *value);
-        self.shape.push(code);
-        Ok(())
-    }
-    fn single(&mut self, prediction: f32, value: &mut f32) -> Result<(), Damage> {
-        let code = put_single(&mut self.digits, prediction, *value);
-        self.shape.push(code);
-        Ok(())
-    }
-}
-
-impl Coder for Cursors<'_> {
-    fn byte(&mut self, value: &mut u8) -> Result<(), Damage> {
-        *value = self.shape.byte()?;
-        Ok(())
-    }
-    fn small(&mut self, value: &mut u64) -> Result<(), Damage> {
-        *value = self.shape.varint()?;
-        Ok(())
-    }
-    fn id(&mut self, value: &mut u32) -> Result<(), Damage> {
-        *value = self.ids.id()?;
-        Ok(())
-    }
-    fn near(&mut self, from: u32, value: &mut u32) -> Result<(), Damage> {
-        *value = self.ids.id_near(from)?;
-        Ok(())
-    }
-    fn double(&mut self, prediction: f64, value: &mut f64) -> Result<(), Damage> {
-        let code = self.shape.byte()?;
-        *value = self.digits.double(code, prediction)?;
-        Ok(())
-    }
-    fn single(&mut self, prediction: f32, value: &mut f32) -> Result<(), Damage> {
-        let code = self.shape.byte()?;
-        *value = self.digits.single(code, prediction)?;
-        Ok(())
-    }
-}
 
 /// Puts the record that led to the mesh of `replay`. `is_known` says which wedges the file has
 /// shown before.
@@ -192,6 +122,16 @@ struct Ring {
     last: [Option<u32>; 2],
 }
 
+impl Ring {
+    /// The code of a wedge (a decoder calls it with nonsense and overwrites the result).
+    fn code_of(&self, side: Option<usize>, wedge: u32) -> u64 {
+        if side.is_some_and(|s| self.last[s] == Some(wedge)) {
+            return 1;
+        }
+        self.palette.iter().position(|w| *w == wedge).map_or(0, |i| i as u64 + 2)
+    }
+}
+
 impl<C: Coder> Walk<'_, C> {
     fn record(&mut self, c: &mut Collapse) -> Result<(), Damage> {
         let flags = self.flags(c)?;
@@ -203,7 +143,7 @@ impl<C: Coder> Walk<'_, C> {
         c.to = DVec3::from_array(*position);
         self.point(flags & KEEP_STAYS != 0, c.to, &mut c.keep_from)?;
         self.point(flags & DROP_STAYS != 0, c.to, &mut c.drop_from)?;
-        let mut ring = self.ring(c)?;
+        let mut ring = self.ring(c);
         self.moved(&mut ring, c)?;
         self.removed(&ring, flags, c)?;
         if self.replay.layers.is_empty() {
@@ -219,10 +159,14 @@ impl<C: Coder> Walk<'_, C> {
     }
 
     fn flags(&mut self, c: &Collapse) -> Result<u8, Damage> {
-        let mut flags = c.removed.len().min(MANY_REMOVED.into()) as u8
-            | u8::from(same_bits(c.keep_from, c.to)) * KEEP_STAYS
-            | u8::from(same_bits(c.drop_from, c.to)) * DROP_STAYS
-            | u8::from(!(c.rewedged.is_empty() && c.new_wedges.is_empty())) * HAS_CHANGES;
+        let mut flags = c.removed.len().min(MANY_REMOVED.into()) as u8;
+        for (bit, is_set) in [
+            (KEEP_STAYS, same_bits(c.keep_from, c.to)),
+            (DROP_STAYS, same_bits(c.drop_from, c.to)),
+            (HAS_CHANGES, !(c.rewedged.is_empty() && c.new_wedges.is_empty())),
+        ] {
+            flags |= if is_set { bit } else { 0 };
+        }
         self.coder.byte(&mut flags)?;
         if flags >> 5 != 0 {
             return Err(Damage("unknown flags of a record"));
@@ -243,12 +187,12 @@ impl<C: Coder> Walk<'_, C> {
         Ok(())
     }
 
-    fn ring(&mut self, c: &Collapse) -> Result<Ring, Damage> {
+    fn ring(&mut self, c: &Collapse) -> Ring {
         let mut corners: SmallVec<[u32; 16]> = self.replay.rings.of(c.keep.0).collect();
         corners.sort_unstable();
         self.work += corners.len() as u64;
         let is_moved = corners.iter().map(|x| c.moved.binary_search(&Corner(*x)).is_ok()).collect();
-        Ok(Ring { corners, is_moved, palette: SmallVec::new(), last: [None; 2] })
+        Ring { corners, is_moved, palette: SmallVec::new(), last: [None; 2] }
     }
 
     fn moved(&mut self, ring: &mut Ring, c: &mut Collapse) -> Result<(), Damage> {
@@ -414,7 +358,7 @@ impl<C: Coder> Walk<'_, C> {
             let found = given.binary_search_by_key(&corner, |r| r.corner).ok().map(|i| given[i]);
             let side = usize::from(ring.is_moved[i]);
             let mut from = found.map_or(0, |r| r.from.0);
-            let code = found.map(|_| self.code_of(ring, Some(side), from));
+            let code = found.map(|_| ring.code_of(Some(side), from));
             let mut symbol = code.map_or(0, |code| code + 1);
             self.coder.small(&mut symbol)?;
             if symbol > 0 {
@@ -443,7 +387,7 @@ impl<C: Coder> Walk<'_, C> {
             let mut corner = others.get(i).map_or(0, |r| r.corner.0);
             let mut from = others.get(i).map_or(0, |r| r.from.0);
             self.coder.near(first, &mut corner)?;
-            let mut code = self.code_of(ring, None, from);
+            let mut code = ring.code_of(None, from);
             self.coder.small(&mut code)?;
             self.wedge_of_code(ring, None, code, c.keep.0, &mut from)?;
             self.push_change(c, Corner(corner), from)?;
@@ -469,20 +413,12 @@ impl<C: Coder> Walk<'_, C> {
                     v if v == drop => Some(1),
                     _ => None,
                 };
-                let mut code = self.code_of(ring, side, wedge.0);
+                let mut code = ring.code_of(side, wedge.0);
                 self.coder.small(&mut code)?;
                 self.wedge_of_code(ring, side, code, vertex.0, &mut wedge.0)?;
             }
         }
         Ok(())
-    }
-
-    /// The code of a wedge (the decoder calls it with nonsense and overwrites the result).
-    fn code_of(&self, ring: &Ring, side: Option<usize>, wedge: u32) -> u64 {
-        if side.is_some_and(|s| ring.last[s] == Some(wedge)) {
-            return 1;
-        }
-        ring.palette.iter().position(|w| *w == wedge).map_or(0, |i| i as u64 + 2)
     }
 
     /// The wedge of a code, with its values if it is new to the file.

@@ -24,6 +24,7 @@
 
 mod base;
 mod bytes;
+mod coder;
 mod error;
 mod header;
 mod linked;

@@ -44,19 +44,13 @@ impl Default for ReadLimits {
     }
 }
 
-impl ReadLimits {
-    pub(super) fn check(
-        &self,
-        what: &'static str,
-        count: u64,
-        limit: u64,
-    ) -> Result<(), ProgressiveError> {
-        if count <= limit {
-            Ok(())
-        } else {
-            Err(ProgressiveError::OverLimit { what, count, limit })
-        }
-    }
+/// `Err` when `count` is over `limit`.
+pub(super) fn check_limit(
+    what: &'static str,
+    count: u64,
+    limit: u64,
+) -> Result<(), ProgressiveError> {
+    if count <= limit { Ok(()) } else { Err(ProgressiveError::OverLimit { what, count, limit }) }
 }
 
 /// An opened file.
@@ -154,7 +148,7 @@ impl<'a> Reader<'a> {
     }
 
     /// The records from the original mesh on; each `next` applies one. The whole file is read
-    /// first, and its records are kept in memory, about 100 bytes each.
+    /// first, and its records are kept in memory, about 80 bytes each.
     ///
     /// # Errors
     /// When any part of the file cannot be read.
@@ -288,8 +282,7 @@ impl CoarseToFine<'_> {
             self.streams.digits.len() - cursors.digits.n_left(),
         ];
         self.n_visits += n_visits;
-        let limits = &self.reader.limits;
-        limits.check("corner visits", self.n_visits, limits.max_corner_visits)?;
+        check_limit("corner visits", self.n_visits, self.reader.limits.max_corner_visits)?;
         self.n_left_in_block -= 1;
         if self.n_left_in_block == 0 && !cursors.is_empty() {
             return Err(Damage("bytes are left over in its block").at(place));

@@ -27,7 +27,7 @@
 //!   new          varint number of values; each 4 bytes, little endian
 //! ```
 //!
-//! A record of a scanned surface takes about 110 bytes.
+//! A record of a scanned surface takes about 80 bytes (bunny 81, frog 76, without wedges).
 
 use glam::DVec3;
 use smallvec::SmallVec;
@@ -52,12 +52,13 @@ pub fn encode_collapse(c: &Collapse, out: &mut Vec<u8>) {
         || c.removed.iter().any(|f| f.wedges != [WedgeId(0); 3]);
     let (keep_stays, drop_stays) = (same_bits(c.keep_from, c.to), same_bits(c.drop_from, c.to));
     let n_removed = (c.removed.len() as u64).min(MANY_REMOVED.into()) as u8;
-    out.push(
-        u8::from(keep_stays) * KEEP_STAYS
-            | u8::from(drop_stays) * DROP_STAYS
-            | u8::from(has_wedges) * HAS_WEDGES
-            | n_removed << 3,
-    );
+    let mut flags = n_removed << 3;
+    for (bit, is_set) in
+        [(KEEP_STAYS, keep_stays), (DROP_STAYS, drop_stays), (HAS_WEDGES, has_wedges)]
+    {
+        flags |= if is_set { bit } else { 0 };
+    }
+    out.push(flags);
     if n_removed == MANY_REMOVED {
         put_varint(out, c.removed.len() as u64);
     }

@@ -60,7 +60,7 @@ impl Replay {
             wedge_values.extend(mesh.layers.iter().flat_map(|l| l.get(WedgeId(wedge))));
         }
         Ok(Self {
-            positions: mesh.positions.iter().map(|p| p.to_array()).collect(),
+            positions: mesh.positions.iter().map(DVec3::to_array).collect(),
             is_vertex_alive: vec![true; n_vertices],
             faces: mesh.faces.clone(),
             face_wedges: mesh.face_wedges.clone(),
@@ -285,9 +285,10 @@ impl Replay {
             let is_third = |v: &VertexId| *v != c.keep && *v != c.drop && self.is_alive(*v);
             let n_third = face.vertices.iter().filter(|v| is_third(v)).count();
             ensure(n_third == 1, "the third vertex of a removed face is not there")?;
-            let are_known = match self.layers.is_empty() {
-                true => face.wedges == [WedgeId(0); 3],
-                false => face.wedges.iter().all(|w| *w < first_new),
+            let are_known = if self.layers.is_empty() {
+                face.wedges == [WedgeId(0); 3]
+            } else {
+                face.wedges.iter().all(|w| *w < first_new)
             };
             ensure(are_known, "a removed face has an unknown wedge")?;
         }

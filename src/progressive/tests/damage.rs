@@ -9,11 +9,17 @@ use crate::progressive::{
 
 fn file(seed: u64) -> Vec<u8> {
     let mut rng = Rng(seed);
-    let extras = Extras { layers: seed % 2 == 0, materials: seed % 3 == 0, ugly: seed % 5 == 0 };
+    let extras = Extras {
+        layers: seed.is_multiple_of(2),
+        materials: seed.is_multiple_of(3),
+        ugly: seed.is_multiple_of(5),
+    };
     let mesh = grid(5, extras, &mut rng);
     let (_, records) = sequence(&mesh, 40, &mut rng);
     let mut writer = Writer::new(&mesh).unwrap();
-    records.iter().for_each(|r| writer.push(r).unwrap());
+    for record in &records {
+        writer.push(record).unwrap();
+    }
     writer.mark_level("last", true);
     writer.finish().unwrap()
 }

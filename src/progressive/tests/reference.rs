@@ -58,10 +58,6 @@ impl Plain {
         self.faces.iter().enumerate().filter_map(|(i, f)| f.map(|f| (i, f)))
     }
 
-    pub(super) fn n_faces(&self) -> usize {
-        self.alive().count()
-    }
-
     /// A random side of a random face; `None` when no face is left.
     pub(super) fn random_edge(&self, rng: &mut Rng) -> Option<(u32, u32)> {
         let alive: Vec<_> = self.alive().collect();
@@ -236,7 +232,8 @@ pub(super) fn grid(n: usize, extras: Extras, rng: &mut Rng) -> Mesh {
 /// Normals and coordinates: a wedge per vertex, and one more per vertex on every fourth row.
 fn add_layers(mesh: &mut Mesh, ugly: bool, rng: &mut Rng) {
     let n = mesh.positions.len() as u32;
-    let wedge = |f: usize, v: u32| if v % 4 == 0 && f % 2 == 0 { n + v / 4 } else { v };
+    let wedge =
+        |f: usize, v: u32| if v.is_multiple_of(4) && f.is_multiple_of(2) { n + v / 4 } else { v };
     mesh.face_wedges =
         mesh.faces.iter().enumerate().map(|(f, face)| face.map(|v| wedge(f, v))).collect();
     let n_wedges = (n + n / 4 + 1 + u32::from(ugly)) as usize;

@@ -26,7 +26,7 @@ fn assert_same(found: &Mesh, expected: &Mesh) {
     assert_eq!(found, expected);
     let bits = |m: &Mesh| -> Vec<u64> {
         let values = m.layers.iter().flat_map(|l| &l.values).map(|v| u64::from(v.to_bits()));
-        let positions = m.positions.iter().flat_map(|p| p.to_array()).map(f64::to_bits);
+        let positions = m.positions.iter().flat_map(glam::DVec3::to_array).map(f64::to_bits);
         positions.chain(values).collect()
     };
     assert_eq!(bits(found), bits(expected));
@@ -49,7 +49,7 @@ proptest! {
         let reader = Reader::open(&file).unwrap();
 
         let mut splits = reader.coarse_to_fine().unwrap();
-        for (level, record) in levels.iter().zip(&records).skip(0).rev().map(|(l, r)| (l, r)) {
+        for (level, record) in levels.iter().zip(&records).rev() {
             let split = splits.next().unwrap().unwrap();
             prop_assert_eq!(&split, record);
             assert_same(&splits.to_mesh(), level);
@@ -105,7 +105,9 @@ proptest! {
         let mesh = grid(5, extras, &mut rng);
         let (_, records) = sequence(&mesh, 60, &mut rng);
         let mut stream = Vec::new();
-        records.iter().for_each(|r| encode_collapse(r, &mut stream));
+        for record in &records {
+            encode_collapse(record, &mut stream);
+        }
         let mut at = 0;
         for record in &records {
             let (found, n) = decode_collapse(&stream[at..]).unwrap();
@@ -131,7 +133,7 @@ fn misfits_are_refused_and_change_nothing() {
         |c| c.removed[0].vertices.swap(0, 1),
         |c| c.removed[0].wedges[1].0 += 1,
         |c| c.moved.push(crate::mesh::Corner(u32::MAX)),
-        |c| drop(c.moved.pop()),
+        |c| c.moved.truncate(c.moved.len() - 1),
         |c| c.first_new_wedge.0 += 1,
         |c| c.new_wedges.push(0.5),
         |c| c.removed[0].face.0 += 1,
