@@ -20,8 +20,16 @@ const MAY_IMPORT: [(&str, &[&str]); 15] = [
     (
         "worker",
         &[
-            "jobs", "mesh", "io", "progressive", "memoryless", "render", "metric", "simplify",
-            "compare", "service",
+            "jobs",
+            "mesh",
+            "io",
+            "progressive",
+            "memoryless",
+            "render",
+            "metric",
+            "simplify",
+            "compare",
+            "service",
         ],
     ),
     ("service", &["jobs"]),
@@ -30,8 +38,19 @@ const MAY_IMPORT: [(&str, &[&str]); 15] = [
     (
         "cli",
         &[
-            "jobs", "mesh", "io", "progressive", "memoryless", "render", "metric", "simplify",
-            "compare", "worker", "service", "telemetry", "config",
+            "jobs",
+            "mesh",
+            "io",
+            "progressive",
+            "memoryless",
+            "render",
+            "metric",
+            "simplify",
+            "compare",
+            "worker",
+            "service",
+            "telemetry",
+            "config",
         ],
     ),
     ("main", &["cli", "telemetry"]),
@@ -150,7 +169,8 @@ fn modules_import_only_what_their_layer_allows() {
         for (owned, owners) in SOLE_OWNERS {
             let is_named = text.lines().any(|l| {
                 let l = l.split("//").next().unwrap_or_default();
-                l.contains(&format!("{owned}::")) && !l.contains(&format!("_{owned}::"))
+                l.contains(&format!("{owned}::"))
+                    && !l.contains(&format!("_{owned}::"))
                     && !l.contains(&format!("::{owned}::"))
             });
             if is_named && !owners.contains(&module.as_str()) {

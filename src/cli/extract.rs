@@ -19,7 +19,7 @@ pub(crate) struct ExtractArgs {
     file: PathBuf,
     /// The most triangles the level may have.
     #[arg(long, value_name = "N")]
-    triangles: usize,
+    triangles: u32,
     /// Where to write it: .glb, .ply or .obj.
     #[arg(long, value_name = "FILE", default_value = "level.glb")]
     out: PathBuf,
@@ -27,17 +27,19 @@ pub(crate) struct ExtractArgs {
 
 pub(crate) fn run(args: &ExtractArgs) -> Result<(), Failure> {
     let bytes = read_input(&args.file)?;
-    let fault = |e: lookalike::progressive::CodecError| {
+    let fault = |e: lookalike::progressive::ProgressiveError| {
         Failure::new(Exit::Failed, format!("{}: {e}", args.file.display()))
     };
     let reader = Reader::open(&bytes).map_err(fault)?;
     let mesh = reader.extract(args.triangles).map_err(fault)?;
     write_mesh(&args.out, &mesh)?;
-    let (least, most) = reader.face_range();
+    let header = reader.header();
     show::print(&format!(
-        "{}: {} triangles (the file holds {least} to {most})\n",
+        "{}: {} triangles (the file holds {} to {})\n",
         args.out.display(),
-        mesh.faces.len()
+        mesh.faces.len(),
+        header.n_base_faces,
+        header.n_faces
     ));
     Ok(())
 }

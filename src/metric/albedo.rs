@@ -78,7 +78,11 @@ impl Albedo {
 }
 
 /// The colour values of the `nth` wedge that a collapse appends.
-fn new_wedge_colour<'a>(layers: &[AttributeLayer], values: &'a [f32], nth: usize) -> Option<&'a [f32]> {
+fn new_wedge_colour<'a>(
+    layers: &[AttributeLayer],
+    values: &'a [f32],
+    nth: usize,
+) -> Option<&'a [f32]> {
     let stride: usize = layers.iter().map(|l| l.width).sum();
     let at = layers.iter().position(|l| l.semantic == Semantic::Color(0))?;
     let offset: usize = layers[..at].iter().map(|l| l.width).sum();

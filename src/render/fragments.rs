@@ -98,8 +98,7 @@ impl FragmentLists {
 
     /// Enters a fragment at its place.
     pub fn insert(&mut self, pixel: usize, f: Fragment) {
-        let mut cell =
-            Cell { depth_lum: u32::from(f.z) << 8 | u32::from(f.lum), face: f.face };
+        let mut cell = Cell { depth_lum: u32::from(f.z) << 8 | u32::from(f.lum), face: f.face };
         for layer in &mut self.layers {
             if cell.is_nearer(&layer[pixel]) {
                 std::mem::swap(&mut cell, &mut layer[pixel]);

@@ -220,8 +220,7 @@ impl Judge<'_> {
         (i, j): (i32, i32),
         pixel: usize,
     ) -> u8 {
-        let stay =
-            if stays { *front } else { self.lists.nearest_behind(pixel, |f| self.stays(f)) };
+        let stay = if stays { *front } else { self.lists.nearest_behind(pixel, |f| self.stays(f)) };
         if key != u32::MAX {
             let (face, setup) = &self.scratch.setups[(key & 0xffff) as usize];
             if (key >> 16, *face) < (stay.z(), stay.face) {

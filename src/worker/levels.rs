@@ -142,8 +142,10 @@ impl Levels {
     }
 
     /// Takes the current mesh as the next level. False when no later level can be reached.
-    pub fn take(&mut self, mesh: &EditMesh) -> bool {
+    pub fn take(&mut self, mesh: &EditMesh, recorder: &mut Recorder<'_>) -> bool {
         let Some(target) = self.pending.pop() else { return false };
+        let first = self.asked.iter().position(|t| *t == target).unwrap_or(0);
+        recorder.mark_level(&format!("lod-{first}"));
         self.done.push(Level {
             target,
             mesh: mesh.snapshot(),
@@ -155,9 +157,9 @@ impl Levels {
     }
 
     /// Gives every level that was not reached the coarsest mesh there is.
-    pub fn close(&mut self, mesh: &EditMesh) {
+    pub fn close(&mut self, mesh: &EditMesh, recorder: &mut Recorder<'_>) {
         while !self.pending.is_empty() {
-            self.take(mesh);
+            self.take(mesh, recorder);
         }
     }
 

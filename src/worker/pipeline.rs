@@ -14,7 +14,7 @@ use crate::{
         spec::{Method, Spec},
     },
     mesh::{EditMesh, Mesh, Stage},
-    progressive::CodecError,
+    progressive::ProgressiveError,
     render::RenderError,
     simplify::SimplifyError,
 };
@@ -70,8 +70,8 @@ impl From<io::IoError> for PipelineError {
         Self::Job { code: e.code(), text: e.to_string() }
     }
 }
-impl From<CodecError> for PipelineError {
-    fn from(e: CodecError) -> Self {
+impl From<ProgressiveError> for PipelineError {
+    fn from(e: ProgressiveError) -> Self {
         Self::Machine(format!("cannot write the progressive mesh: {e}"))
     }
 }
@@ -89,9 +89,9 @@ pub fn run(
 ) -> Result<(), PipelineError> {
     let start = Instant::now();
     let ingest = io::read(name, input, &io::Limits::default())?;
-    let mut recorder = Recorder::new(spec, start, on);
-    recorder.announce(&ingest.report)?;
     let original = ingest.mesh;
+    let mut recorder = Recorder::new(spec, &original, start, on)?;
+    recorder.announce(&ingest.report)?;
     let mut levels = Levels::new(spec, original.faces.len());
     levels.announce(&mut recorder)?;
 
@@ -100,7 +100,7 @@ pub fn run(
     if spec.method == Method::Image && !levels.is_complete() {
         figures.push(image_stage(spec, &original, &mut mesh, &mut levels, device, &mut recorder)?);
     }
-    levels.close(&mesh);
+    levels.close(&mesh, &mut recorder);
 
     let attempt = results::Attempt { spec, ingest: &ingest.report, figures: &figures, start };
     results::write_all(out_dir, &original, &levels, &mut recorder, &attempt)
@@ -136,7 +136,7 @@ fn memoryless_stage(
             recorder.check()?;
             levels.set_stop(StoppedBy::of_memoryless(outcome.stopped_by));
         }
-        if next.is_none_or(|t| t < floor) || !levels.take(mesh) {
+        if next.is_none_or(|t| t < floor) || !levels.take(mesh, recorder) {
             break;
         }
     }
@@ -170,7 +170,7 @@ fn image_stage(
         });
         let (energy, d2) = (simplifier.objective().energy(), simplifier.objective().d2_percent());
         levels.set_energy(energy, d2);
-        if !levels.take(simplifier.mesh()) {
+        if !levels.take(simplifier.mesh(), recorder) {
             break;
         }
     }

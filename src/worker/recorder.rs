@@ -13,14 +13,14 @@ use crate::{
         event::{EnergySample, Report},
         spec::{Method, Spec},
     },
-    mesh::{Collapse, Stage, Step},
-    progressive::encode_records,
+    mesh::{Collapse, Mesh, Stage, Step},
+    progressive::{ProgressiveError, Writer, encode_collapse},
 };
 
 use super::pipeline::PipelineError;
 
 /// Records are streamed in chunks of so many.
-const RECORDS_PER_CHUNK: usize = 512;
+const RECORDS_PER_CHUNK: u32 = 512;
 /// Progress is told this often at most.
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(200);
 /// The estimate looks back over so many progress reports.
@@ -32,10 +32,14 @@ pub struct Recorder<'a> {
     start: Instant,
     deadline: Option<Instant>,
     /// Every collapse of the attempt, in order.
-    pub records: Vec<Collapse>,
+    writer: Writer,
+    writer_fault: Option<ProgressiveError>,
+    /// Encoded records that were not streamed yet.
+    pending: Vec<u8>,
+    n_pending: u32,
     /// Every sample, in order.
     pub samples: Vec<EnergySample>,
-    n_streamed: usize,
+    n_streamed: u64,
     is_cancelled: bool,
     is_out_of_time: bool,
     stage: Stage,
@@ -55,18 +59,22 @@ const SHARES: [(Method, Stage, (f64, f64)); 3] = [
 ];
 
 impl<'a> Recorder<'a> {
-    /// A recorder that tells `on`.
+    /// A recorder of what is done to `original`; it tells `on`.
     pub fn new(
         spec: &Spec,
+        original: &Mesh,
         start: Instant,
         on: &'a mut dyn FnMut(Report) -> ControlFlow<()>,
-    ) -> Self {
+    ) -> Result<Self, PipelineError> {
         let cap = (spec.max_secs > 0.0).then(|| Duration::try_from_secs_f64(spec.max_secs).ok());
-        Self {
+        Ok(Self {
             on,
             start,
             deadline: cap.flatten().and_then(|d| start.checked_add(d)),
-            records: Vec::new(),
+            writer: Writer::new(original)?,
+            writer_fault: None,
+            pending: Vec::new(),
+            n_pending: 0,
             samples: Vec::new(),
             n_streamed: 0,
             is_cancelled: false,
@@ -78,7 +86,7 @@ impl<'a> Recorder<'a> {
             last_told: start,
             history: VecDeque::new(),
             method: spec.method,
-        }
+        })
     }
 
     /// Tells what was read, with every remark.
@@ -107,7 +115,12 @@ impl<'a> Recorder<'a> {
     }
 
     /// An artifact was written.
-    pub fn artifact(&mut self, name: &str, media_type: &str, size: u64) -> Result<(), PipelineError> {
+    pub fn artifact(
+        &mut self,
+        name: &str,
+        media_type: &str,
+        size: u64,
+    ) -> Result<(), PipelineError> {
         self.tell(Report::Artifact { name: name.into(), media_type: media_type.into(), size })
     }
 
@@ -132,7 +145,10 @@ impl<'a> Recorder<'a> {
     }
 
     /// An error when the caller asked to stop.
-    pub fn check(&self) -> Result<(), PipelineError> {
+    pub fn check(&mut self) -> Result<(), PipelineError> {
+        if let Some(fault) = self.writer_fault.take() {
+            return Err(fault.into());
+        }
         if self.is_cancelled { Err(PipelineError::Cancelled) } else { Ok(()) }
     }
 
@@ -158,8 +174,13 @@ impl<'a> Recorder<'a> {
 
     fn edit(&mut self, collapse: &Collapse) -> ControlFlow<()> {
         self.n_faces = self.n_faces.saturating_sub(collapse.removed.len());
-        self.records.push(collapse.clone());
-        if self.records.len() - self.n_streamed >= RECORDS_PER_CHUNK {
+        if let Err(fault) = self.writer.push(collapse) {
+            self.writer_fault = Some(fault);
+            return ControlFlow::Break(());
+        }
+        encode_collapse(collapse, &mut self.pending);
+        self.n_pending += 1;
+        if self.n_pending >= RECORDS_PER_CHUNK {
             self.stream_records()?;
             return self.progress();
         }
@@ -167,18 +188,31 @@ impl<'a> Recorder<'a> {
     }
 
     /// Streams the records that were not streamed yet.
-    pub fn stream_records(&mut self) -> ControlFlow<()> {
-        let chunk = &self.records[self.n_streamed..];
-        if chunk.is_empty() {
+    fn stream_records(&mut self) -> ControlFlow<()> {
+        if self.n_pending == 0 {
             return ControlFlow::Continue(());
         }
-        let report = Report::Records {
-            first: self.n_streamed as u64,
-            count: chunk.len() as u32,
-            bytes: encode_records(chunk),
-        };
-        self.n_streamed = self.records.len();
-        self.report(report)
+        let (first, count) = (self.n_streamed, std::mem::take(&mut self.n_pending));
+        self.n_streamed += u64::from(count);
+        let bytes = std::mem::take(&mut self.pending);
+        self.report(Report::Records { first, count, bytes })
+    }
+
+    /// Gives the present level a name in the progressive mesh.
+    pub fn mark_level(&mut self, name: &str) {
+        self.writer.mark_level(name, true);
+    }
+
+    /// Collapses so far.
+    pub fn n_records(&self) -> u32 {
+        self.writer.n_records()
+    }
+
+    /// Streams what is left; returns the progressive mesh as a file.
+    pub fn finish(&mut self) -> Result<Vec<u8>, PipelineError> {
+        let _ = self.stream_records();
+        self.check()?;
+        Ok(self.writer.clone().finish()?)
     }
 
     fn report(&mut self, report: Report) -> ControlFlow<()> {

@@ -9,7 +9,6 @@ use crate::{
     io::{self, IngestReport},
     jobs::{event::EnergySample, spec::Spec},
     mesh::{Mesh, Stage},
-    progressive,
 };
 
 use super::{
@@ -91,7 +90,7 @@ struct ReportFile<'a> {
     spec: &'a Spec,
     levels: Vec<LevelReport>,
     stages: &'a [StageFigures],
-    records: usize,
+    records: u32,
     seconds: f64,
 }
 
@@ -115,8 +114,7 @@ pub fn write_all(
     recorder: &mut Recorder<'_>,
     attempt: &Attempt<'_>,
 ) -> Result<(), PipelineError> {
-    let _ = recorder.stream_records();
-    recorder.check()?;
+    let progressive = recorder.finish()?;
     fs::create_dir_all(out_dir)?;
     let mut out = Output { dir: out_dir, recorder };
     let mut reports = Vec::new();
@@ -125,7 +123,7 @@ pub fn write_all(
         out.write(&file, "model/gltf-binary", &io::write_glb(&level.mesh)?)?;
         reports.push(level_report(file, level));
     }
-    write_progressive(&mut out, original, levels)?;
+    out.write("progressive.lkpm", "application/octet-stream", &progressive)?;
     write_pictures(&mut out, original, levels)?;
     let samples = &out.recorder.samples;
     let csv = energy_csv(samples);
@@ -145,7 +143,7 @@ pub fn write_all(
         spec: attempt.spec,
         levels: reports,
         stages: attempt.figures,
-        records: out.recorder.records.len(),
+        records: out.recorder.n_records(),
         seconds: attempt.start.elapsed().as_secs_f64(),
     };
     let json = serde_json::to_vec_pretty(&report)
@@ -177,20 +175,6 @@ fn level_report(file: String, level: &Level) -> LevelReport {
     }
 }
 
-fn write_progressive(
-    out: &mut Output<'_, '_>,
-    original: &Mesh,
-    levels: &Levels,
-) -> Result<(), PipelineError> {
-    let named: Vec<(String, usize)> = levels
-        .in_order()
-        .enumerate()
-        .map(|(i, l)| (format!("lod-{i}"), l.mesh.faces.len()))
-        .collect();
-    let bytes = progressive::write(original, &out.recorder.records, &named)?;
-    out.write("progressive.lkpm", "application/octet-stream", &bytes)
-}
-
 fn write_pictures(
     out: &mut Output<'_, '_>,
     original: &Mesh,
@@ -201,7 +185,8 @@ fn write_pictures(
         out.write(&format!("contact-{i}.png"), "image/png", &png)?;
     }
     let chain: Vec<&Mesh> = levels.in_order().map(|l| &l.mesh).collect();
-    let png = compare::sheet_multi(original, &chain, &compare::SheetParams::chain(compare::Axis::Y));
+    let png =
+        compare::sheet_multi(original, &chain, &compare::SheetParams::chain(compare::Axis::Y));
     out.write("levels.png", "image/png", &png)
 }
 

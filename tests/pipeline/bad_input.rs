@@ -19,7 +19,11 @@ fn files_that_cannot_be_read_are_refused_with_the_reason() {
     let cases: [(&str, &str, Vec<u8>); 6] = [
         ("an empty file", "a.glb", Vec::new()),
         ("a truncated GLB", "a.glb", glb[..glb.len() / 2].to_vec()),
-        ("a position that is not a number", "a.obj", b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n".into()),
+        (
+            "a position that is not a number",
+            "a.obj",
+            b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n".into(),
+        ),
         ("an index out of range", "a.obj", obj("f 1 2 9\n")),
         ("degenerate triangles alone", "a.obj", obj("f 1 1 2\nf 3 3 3\n")),
         ("no format at all", "a.xyz", b"hello".into()),
@@ -44,7 +48,10 @@ fn a_target_above_the_input_gives_the_original_and_says_so() {
         assert!(done.result.is_ok(), "{:?}", done.result);
         assert!(done.has_note("TARGET_NOT_BELOW_INPUT"), "{:?}", done.notes);
         let level = &done.report()["levels"][0];
-        assert_eq!((level["triangles"].as_u64(), level["stopped_by"].as_str()), (Some(6), Some("input")));
+        assert_eq!(
+            (level["triangles"].as_u64(), level["stopped_by"].as_str()),
+            (Some(6), Some("input"))
+        );
     }
 }
 
@@ -77,10 +84,20 @@ fn cancelling_stops_the_job_at_once() {
     let spec = Spec::new(vec![300]);
     let mut reports = 0;
     let result = lookalike::worker::pipeline::run(
-        &spec, "sample.glb", &sample(6000), dir.path(), &device, &mut |_| {
+        &spec,
+        "sample.glb",
+        &sample(6000),
+        dir.path(),
+        &device,
+        &mut |_| {
             reports += 1;
-            if reports == 5 { std::ops::ControlFlow::Break(()) } else { std::ops::ControlFlow::Continue(()) }
-        });
+            if reports == 5 {
+                std::ops::ControlFlow::Break(())
+            } else {
+                std::ops::ControlFlow::Continue(())
+            }
+        },
+    );
     assert!(matches!(result, Err(PipelineError::Cancelled)), "{result:?}");
     assert_eq!(reports, 5);
 }

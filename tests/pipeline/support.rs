@@ -52,8 +52,7 @@ pub fn job(spec: &Spec, name: &str, input: &[u8], device: &str) -> Done {
             Report::Note { code, text } => notes.push((code, text)),
             Report::Records { first, count, bytes } => {
                 assert_eq!(first, records, "records come in order, without gaps");
-                let decoded = lookalike::progressive::decode_records(&bytes).unwrap();
-                assert_eq!(decoded.len(), count as usize);
+                assert_eq!(count_records(&bytes), count);
                 records += u64::from(count);
             }
             _ => {}
@@ -67,6 +66,17 @@ pub fn job(spec: &Spec, name: &str, input: &[u8], device: &str) -> Done {
         files.insert(name, fs::read(path).unwrap());
     }
     Done { files, notes, records, result }
+}
+
+/// Records in a chunk of the stream.
+fn count_records(mut bytes: &[u8]) -> u32 {
+    let mut count = 0;
+    while !bytes.is_empty() {
+        let (_, n_bytes) = lookalike::progressive::decode_collapse(bytes).unwrap();
+        bytes = &bytes[n_bytes..];
+        count += 1;
+    }
+    count
 }
 
 /// The bytes of a sample model of about so many triangles.
