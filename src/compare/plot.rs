@@ -173,7 +173,7 @@ impl<'a> Plot<'a> {
     fn new(samples: &[CurvePoint], params: &'a PlotParams, size: (u32, u32)) -> Self {
         let spots = spots(samples, params.x);
         let mut unseen = samples.iter().filter(|s| s.d2.is_none()).map(|s| s.triangles);
-        let unseen = unseen.next().map(|first| (first, unseen.last().unwrap_or(first)));
+        let unseen = unseen.next().map(|first| (first, unseen.next_back().unwrap_or(first)));
         let (width, height) = (f64::from(size.0), f64::from(size.1));
         let left = 76.0 + if unseen.is_some() { 52.0 } else { 0.0 };
         let fine = |v: f64| v * f64::from(FINE);

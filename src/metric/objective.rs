@@ -116,7 +116,7 @@ impl Objective {
         faces.extend_from_slice(mesh.faces_around(plan.drop));
         let ring = match self.scene.params.shading {
             Shading::Flat => Vec::new(),
-            Shading::Smooth => self.widen_to_ring(mesh, plan, &mut faces),
+            Shading::Smooth => Self::widen_to_ring(mesh, plan, &mut faces),
         };
         faces.sort_unstable();
         faces.dedup();
@@ -133,12 +133,7 @@ impl Objective {
     }
 
     /// Adds the triangles of every ring vertex; returns the vertices whose normals change.
-    fn widen_to_ring(
-        &self,
-        mesh: &EditMesh,
-        plan: &Collapse,
-        faces: &mut Vec<FaceId>,
-    ) -> Vec<VertexId> {
+    fn widen_to_ring(mesh: &EditMesh, plan: &Collapse, faces: &mut Vec<FaceId>) -> Vec<VertexId> {
         let mut ring: Vec<VertexId> = faces.iter().flat_map(|f| mesh.vertices_of(*f)).collect();
         ring.sort_unstable();
         ring.dedup();

@@ -56,7 +56,7 @@ pub fn for_each_fragment(scene: &Scene, view: usize, on: &mut impl FnMut(usize, 
         let lum = scene.face_luminance(view, face);
         let Some(s) = lattice.setup(points, lum, cull) else { continue };
         for_each_pixel(&s, |i, j| {
-            on((j * lattice.size + i) as usize, fragment(&s, id as u32, i, j))
+            on((j * lattice.size + i) as usize, fragment(&s, id as u32, i, j));
         });
     }
 }

@@ -177,7 +177,7 @@ impl Device {
         let data_at = order.len() * ITEM_WORDS;
         let items: Vec<Word> =
             order.iter().flat_map(|k| packed.items[*k as usize].words(data_at as u32)).collect();
-        let tile_words: Vec<Word> = tiles.iter().map(|(_, tile)| self.tile_word(tile)).collect();
+        let tile_words: Vec<Word> = tiles.iter().map(|(_, tile)| Self::tile_word(tile)).collect();
         let parts: [&[Word]; 3] = [&items, &packed.data, &tile_words];
         self.work.write(&self.gpu, &self.kernels, &parts, tiles.len())?;
         let mut encoder = encoder(&self.gpu);
@@ -221,7 +221,7 @@ impl Device {
         tiles
     }
 
-    fn tile_word(&self, tile: &Tile) -> Word {
+    fn tile_word(tile: &Tile) -> Word {
         let r = &tile.rect;
         [tile.first, (r.x1 - r.x0 + 1) as u32, (r.y1 - r.y0 + 1) as u32, 0]
     }

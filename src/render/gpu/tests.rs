@@ -2,12 +2,11 @@
 
 use super::{
     super::{
-        contract::{self, LOOKS, Look},
+        contract::{self, LOOKS},
         device,
         evaluator::{Evaluator, Reference},
         raster,
         scene::Scene,
-        twin::Twin,
     },
     Device, Gpu,
 };
