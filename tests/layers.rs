@@ -41,7 +41,7 @@ const MAY_IMPORT: [(&str, &[&str]); 15] = [
     ),
     ("service", &["jobs"]),
     ("telemetry", &[]),
-    ("config", &[]),
+    ("config", &["jobs"]),
     (
         "cli",
         &[
@@ -72,12 +72,12 @@ const SOLE_OWNERS: [(&str, &[&str]); 12] = [
     ("stl_io", &["io"]),
     ("ply_rs_bw", &["io"]),
     ("wgpu", &["render"]),
-    ("bytemuck", &["render"]),
+    ("bytemuck", &["render", "io"]),
     ("plotters", &["compare"]),
     ("sqlx", &["jobs"]),
     ("axum", &["telemetry"]),
     ("tonic", &["service", "worker", "cli"]),
-    ("prost", &["service"]),
+    ("prost", &["service", "worker", "cli"]),
 ];
 
 fn sources(dir: &Path, out: &mut Vec<PathBuf>) {
