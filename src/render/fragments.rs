@@ -25,7 +25,7 @@ const DENSE: usize = 4;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Cell {
     /// `z << 8 | luminance`; the background has z = 65,536.
-    depth_lum: u32,
+    pub(super) depth_lum: u32,
     /// Triangle, or the background's id.
     pub face: u32,
 }
@@ -82,6 +82,12 @@ impl FragmentLists {
     pub fn row(&self, y: i32, x0: i32, x1: i32) -> &[Cell] {
         let at = y * self.size;
         &self.layers[0][(at + x0) as usize..=(at + x1) as usize]
+    }
+
+    /// The fronts of all pixels, row by row.
+    #[inline(always)]
+    pub fn fronts(&self) -> &[Cell] {
+        &self.layers[0]
     }
 
     /// The nearest fragment behind the front whose triangle passes `keep`.

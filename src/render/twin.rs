@@ -20,23 +20,34 @@ use super::{
 
 /// The native evaluator.
 pub struct Twin {
-    views: Vec<FragmentLists>,
+    views: Vec<ViewState>,
     reference: Reference,
     energy: u64,
-    n_face_slots: usize,
     /// Moves of the last batch in every picture; kept for its memory.
     projected: Vec<Projected>,
+}
+
+/// One view and the working memory of whoever judges in it.
+struct ViewState {
+    lists: FragmentLists,
+    scratch: Scratch,
 }
 
 impl Twin {
     /// Renders the scene and gets ready to judge moves.
     pub fn new(scene: &Scene, reference: Reference) -> Self {
-        let views: Vec<_> =
-            (0..scene.n_views()).into_par_iter().map(|v| build_lists(scene, v)).collect();
-        let pictures: Vec<_> = views.iter().map(FragmentLists::picture).collect();
+        let view = |v| ViewState { lists: build_lists(scene, v), scratch: Scratch::default() };
+        let views: Vec<_> = (0..scene.n_views()).into_par_iter().map(view).collect();
+        let pictures: Vec<_> = views.iter().map(|v| v.lists.picture()).collect();
         let energy = raster::energy(&reference, &pictures);
-        let n_face_slots = scene.faces.len();
-        Self { views, reference, energy, n_face_slots, projected: Vec::new() }
+        Self { views, reference, energy, projected: Vec::new() }
+    }
+
+    /// Brings the moves of a batch into every picture.
+    fn project(&mut self, scene: &Scene, moves: &[Move]) {
+        self.projected.resize_with(moves.len().max(self.projected.len()), Projected::default);
+        let projected = &mut self.projected[..moves.len()];
+        projected.par_iter_mut().zip(moves).with_min_len(8).for_each(|(p, mv)| p.fill(scene, mv));
     }
 }
 
@@ -57,22 +68,13 @@ impl Evaluator for Twin {
     }
 
     fn evaluate(&mut self, scene: &Scene, moves: &[Move]) -> Result<Vec<i64>, RenderError> {
-        self.projected.resize_with(moves.len().max(self.projected.len()), Projected::default);
-        let projected = &mut self.projected[..moves.len()];
-        projected.par_iter_mut().zip(moves).with_min_len(8).for_each(|(p, mv)| p.fill(scene, mv));
-        let (views, projected) = (&self.views, &self.projected);
-        let (reference, slots) = (&self.reference, self.n_face_slots);
-        let by_view: Vec<Vec<i64>> = views
-            .par_iter()
-            .enumerate()
-            .map_init(
-                || Scratch::new(slots),
-                |scratch, (view, lists)| {
-                    let picture = &reference.pictures[view];
-                    let mut judge = Judge { scene, view, lists, picture, scratch };
-                    moves.iter().zip(projected).map(|(mv, p)| judge.delta(mv, p)).collect()
-                },
-            )
+        self.project(scene, moves);
+        let (projected, reference) = (&self.projected, &self.reference);
+        let by_view: Vec<Vec<i64>> = (self.views.par_iter_mut().enumerate())
+            .map(|(view, state)| {
+                let mut judge = Judge::new(scene, view, state, reference);
+                moves.iter().zip(projected).map(|(mv, p)| judge.delta(mv, p)).collect()
+            })
             .collect();
         Ok((0..moves.len()).map(|m| by_view.iter().map(|v| v[m]).sum()).collect())
     }
@@ -82,13 +84,15 @@ impl Evaluator for Twin {
         if added_slots > scene.faces.len() {
             scene.faces.resize(added_slots, None);
         }
-        self.n_face_slots = scene.faces.len();
-        let delta = self.evaluate(scene, std::slice::from_ref(mv))?[0];
-        let projected = &self.projected[0];
-        let shown = &*scene;
-        self.views.par_iter_mut().enumerate().with_min_len(5).for_each(|(view, lists)| {
-            update_view(shown, mv, projected, view, lists);
-        });
+        self.project(scene, std::slice::from_ref(mv));
+        let (projected, reference, shown) = (&self.projected[0], &self.reference, &*scene);
+        let delta = (self.views.par_iter_mut().enumerate().with_min_len(5))
+            .map(|(view, state)| {
+                let delta = Judge::new(shown, view, state, reference).delta(mv, projected);
+                update_view(shown, mv, projected, view, &mut state.lists);
+                delta
+            })
+            .sum();
         self.energy = self.energy.saturating_add_signed(delta);
         scene.apply(mv);
         Ok(delta)
@@ -99,7 +103,7 @@ impl Evaluator for Twin {
     }
 
     fn picture(&mut self, _scene: &Scene, view: usize) -> Result<Vec<u8>, RenderError> {
-        Ok(self.views[view].picture())
+        Ok(self.views[view].lists.picture())
     }
 }
 
@@ -136,20 +140,17 @@ fn update_view(
     lists.refresh_tiles(&rect);
 }
 
-/// Working memory of one thread.
+/// Working memory of a view.
+#[derive(Default)]
 struct Scratch {
     setups: Vec<(u32, Setup)>,
     /// `z << 16 | rank` of the nearest added fragment of each pixel of the rectangle.
     nearest: Vec<u32>,
+    /// Pixels that the move may change.
+    touched: Vec<simd::Touched>,
     /// `marks[face] == serial` for the triangles of the current move that go.
     marks: Vec<u32>,
     serial: u32,
-}
-
-impl Scratch {
-    fn new(n_face_slots: usize) -> Self {
-        Self { setups: Vec::new(), nearest: Vec::new(), marks: vec![0; n_face_slots], serial: 0 }
-    }
 }
 
 /// Judges moves in one view.
@@ -161,7 +162,18 @@ struct Judge<'a> {
     scratch: &'a mut Scratch,
 }
 
-impl Judge<'_> {
+impl<'a> Judge<'a> {
+    fn new(
+        scene: &'a Scene,
+        view: usize,
+        state: &'a mut ViewState,
+        reference: &'a Reference,
+    ) -> Self {
+        let ViewState { lists, scratch } = state;
+        scratch.marks.resize(scene.faces.len(), 0);
+        Self { scene, view, lists, picture: &reference.pictures[view], scratch }
+    }
+
     /// The change of energy of one move in this view.
     fn delta(&mut self, mv: &Move, projected: &Projected) -> i64 {
         let (scene, view) = (self.scene, self.view);
@@ -170,7 +182,7 @@ impl Judge<'_> {
             return 0;
         }
         let scratch = &mut *self.scratch;
-        scratch.serial += 1;
+        scratch.serial = scratch.serial.wrapping_add(1);
         for f in &mv.removed {
             scratch.marks[*f as usize] = scratch.serial;
         }
@@ -184,28 +196,33 @@ impl Judge<'_> {
         }
         // Ranks follow ids, so that the lesser id wins a tie in depth.
         scratch.setups.sort_unstable_by_key(|s| s.0);
-        let stride = simd::raster(&scratch.setups, &rect, &mut scratch.nearest);
-        self.resolve(&rect, stride)
+        let going = mv.removed.iter().fold(0, |bits, f| bits | 1 << (f & 31));
+        let coverage = simd::Coverage {
+            setups: &scratch.setups,
+            rect,
+            fronts: self.lists.fronts(),
+            size: scene.lattice.size,
+            going,
+        };
+        simd::touched(&coverage, &mut scratch.nearest, &mut scratch.touched);
+        self.resolve()
     }
 
     /// Compares what stays with what comes, pixel by pixel.
-    fn resolve(&self, rect: &PixelRect, stride: usize) -> i64 {
-        let size = self.scene.lattice.size;
+    fn resolve(&self) -> i64 {
+        let (size, fronts) = (self.scene.lattice.size as u32, self.lists.fronts());
         let mut sum = 0_i64;
-        for j in rect.y0..=rect.y1 {
-            let fronts = self.lists.row(j, rect.x0, rect.x1);
-            let first = (j * size + rect.x0) as usize;
-            let reference = &self.picture[first..first + fronts.len()];
-            let coming = &self.scratch.nearest[(j - rect.y0) as usize * stride..][..fronts.len()];
-            for (i, ((front, &r), &key)) in fronts.iter().zip(reference).zip(coming).enumerate() {
-                let stays = self.stays(front.face);
-                if stays && (key == u32::MAX || key >> 16 > front.z()) {
-                    continue;
-                }
-                let lum = self.new_luminance(front, stays, key, (rect.x0 + i as i32, j), first + i);
-                let square = |l: u8| (i32::from(l) - i32::from(r)).pow(2);
-                sum += i64::from(square(lum) - square(front.lum()));
+        for &(pixel, key) in &self.scratch.touched {
+            let front = fronts[pixel as usize];
+            let stays = self.stays(front.face);
+            if stays && (key == u32::MAX || key >> 16 > front.z()) {
+                continue;
             }
+            let at = ((pixel % size) as i32, (pixel / size) as i32);
+            let lum = self.new_luminance(front, stays, key, at, pixel as usize);
+            let r = self.picture[pixel as usize];
+            let square = |l: u8| (i32::from(l) - i32::from(r)).pow(2);
+            sum += i64::from(square(lum) - square(front.lum()));
         }
         sum
     }
@@ -214,13 +231,13 @@ impl Judge<'_> {
     #[inline(always)]
     fn new_luminance(
         &self,
-        front: &Cell,
+        front: Cell,
         stays: bool,
         key: u32,
         (i, j): (i32, i32),
         pixel: usize,
     ) -> u8 {
-        let stay = if stays { *front } else { self.lists.nearest_behind(pixel, |f| self.stays(f)) };
+        let stay = if stays { front } else { self.lists.nearest_behind(pixel, |f| self.stays(f)) };
         if key != u32::MAX {
             let (face, setup) = &self.scratch.setups[(key & 0xffff) as usize];
             if (key >> 16, *face) < (stay.z(), stay.face) {

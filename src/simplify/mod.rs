@@ -6,6 +6,8 @@
 mod candidates;
 mod driver;
 mod queue;
+#[cfg(test)]
+mod tests;
 
 pub use candidates::{Placements, Rules};
 pub use driver::{Outcome, Params, Policy, Simplifier, SimplifyError, StoppedBy};
