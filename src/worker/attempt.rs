@@ -229,8 +229,11 @@ fn outcome(result: Result<(), Fault>, files: Vec<String>, stop: Option<Stop>) ->
             Outcome::Failed(code.into(), text)
         }
         (Err(Fault::Pipeline(PipelineError::Cancelled)), Some(Stop::Cancel)) => Outcome::Cancelled,
-        (Err(Fault::Pipeline(PipelineError::Cancelled)), _) => {
+        (Err(Fault::Pipeline(PipelineError::Cancelled)), Some(_)) => {
             Outcome::Released("the worker shuts down".into())
+        }
+        (Err(Fault::Pipeline(PipelineError::Cancelled)), None) => {
+            Outcome::AttemptFailed("a bug in the program, which stopped unasked".into())
         }
         (Err(Fault::Pipeline(PipelineError::Machine(text))), _) => Outcome::AttemptFailed(text),
     }
