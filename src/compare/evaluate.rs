@@ -16,10 +16,11 @@ use super::raster::{Appearance, Drawable, Look, Shading, pictures};
 use crate::{
     mesh::Mesh,
     metric::{
+        bounding_sphere,
         image::{d2_percent, mean_square_difference},
         surface::{SurfaceDistance, SurfaceParams, surface_distance},
     },
-    render::view::{BoundingSphere, Projection, View, ViewParams, cameras, directions},
+    render::view::{Projection, View, ViewParams, cameras, directions},
 };
 
 /// What to compare, and how closely.
@@ -153,13 +154,6 @@ pub fn report_text(comparison: &Comparison) -> String {
         );
     }
     text
-}
-
-/// The sphere round the vertices that triangles use.
-pub(super) fn bounding_sphere(mesh: &Mesh) -> BoundingSphere {
-    let mut used = vec![false; mesh.positions.len()];
-    mesh.faces.iter().flatten().for_each(|v| used[*v as usize] = true);
-    BoundingSphere::of(mesh.positions.iter().zip(used).filter_map(|(p, used)| used.then_some(*p)))
 }
 
 /// Camera parameters without directions.

@@ -12,12 +12,15 @@ use image::{ImageBuffer, imageops};
 
 use super::{
     canvas::{Canvas, Rgb, text_width},
-    evaluate::{bounding_sphere, view_params},
+    evaluate::view_params,
     raster::{Appearance, Drawable, Look, pictures},
 };
 use crate::{
     mesh::Mesh,
-    metric::image::{REC709, d2_percent, mean_square_difference, srgb_from_linear},
+    metric::{
+        bounding_sphere,
+        image::{REC709, d2_percent, mean_square_difference, srgb_from_linear},
+    },
     render::view::{View, camera},
 };
 
@@ -146,7 +149,7 @@ pub fn sheet_multi(original: &Mesh, levels: &[&Mesh], params: &SheetParams) -> V
     for (level, mesh) in levels.iter().enumerate() {
         let portraits = Portraits::new(original, mesh, params);
         let column = level + 1;
-        page.heading(&mut canvas, column, &format!("LOD {level}"), &share(original, mesh));
+        page.heading(&mut canvas, column, &format!("LOD {level}"), &short_share(original, mesh));
         for row in 0..params.views.len() {
             page.picture(&mut canvas, column, 2 * row, &portraits.shown(row, tile), "");
             let (difference, caption) = portraits.difference(&reference, row, params);
@@ -270,6 +273,12 @@ fn count(mesh: &Mesh) -> String {
 fn share(original: &Mesh, mesh: &Mesh) -> String {
     let percent = 100.0 * mesh.faces.len() as f64 / original.faces.len().max(1) as f64;
     format!("{} ({percent:.2} %)", count(mesh))
+}
+
+/// [`share`] for a narrow column.
+fn short_share(original: &Mesh, mesh: &Mesh) -> String {
+    let percent = 100.0 * mesh.faces.len() as f64 / original.faces.len().max(1) as f64;
+    format!("{} ({percent:.1} %)", thousands(mesh.faces.len()))
 }
 
 /// A number with commas between thousands.

@@ -5,8 +5,6 @@
 //! triangles at both ends of the edge (T = ⌈⌈⌊e⌋⌉⌉); smooth shading also those of the ring, whose
 //! vertex normals change (Lindstrom & Turk 2000, section 5).
 
-use std::collections::BTreeSet;
-
 use glam::DVec3;
 
 use crate::{
@@ -44,8 +42,11 @@ pub fn reference_pictures(original: &Mesh, pictures: &Pictures) -> Reference {
 
 /// The bounding sphere of the vertices that some triangle uses.
 pub fn bounding_sphere(mesh: &Mesh) -> BoundingSphere {
-    let used: BTreeSet<u32> = mesh.faces.iter().flatten().copied().collect();
-    BoundingSphere::of(used.into_iter().map(|v| mesh.positions[v as usize]))
+    let mut is_used = vec![false; mesh.positions.len()];
+    mesh.faces.iter().flatten().for_each(|v| is_used[*v as usize] = true);
+    BoundingSphere::of(
+        mesh.positions.iter().zip(is_used).filter_map(|(p, used)| used.then_some(*p)),
+    )
 }
 
 /// The current state of an editable mesh as a scene, to build an evaluator from.
