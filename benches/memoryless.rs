@@ -14,7 +14,7 @@
 //! twenty cache lines anywhere in the mesh. Huge pages (`GLIBC_TUNABLES=glibc.malloc.hugetlb=1`)
 //! make large meshes about 20 % faster.
 
-#![allow(clippy::expect_used, reason = "a bench of a generated mesh may panic")]
+#![allow(clippy::expect_used, reason = "a benchmark fails by panicking")]
 
 use std::hint::black_box;
 use std::ops::ControlFlow;

@@ -1,2 +1,11 @@
 //! The `lookalike` binary: reads the command line and runs one role.
-fn main() {}
+
+use std::process::ExitCode;
+
+mod cli;
+mod config;
+
+#[tokio::main]
+async fn main() -> ExitCode {
+    cli::run().await
+}

@@ -1,1 +1,126 @@
-//! cli
+//! The command line: one file a command, and the exit codes that scripts rely on.
+//!
+//! 0 done, 1 the job (or the command) failed, 2 wrong usage, 3 no server, 130 cancelled. Every error
+//! says what to do next.
+
+mod bar;
+mod compare;
+mod doctor;
+mod exit;
+mod extract;
+mod fetch;
+mod job_args;
+mod jobs;
+mod remote;
+mod run;
+mod sample;
+mod serve;
+mod show;
+mod signals;
+mod submit;
+mod watch;
+mod worker;
+
+use std::process::ExitCode;
+
+use clap::{CommandFactory, Parser, Subcommand};
+use lookalike::telemetry;
+
+use self::exit::Failure;
+
+/// Levels of detail that look alike: image-driven mesh simplification.
+#[derive(Parser, Debug)]
+#[command(version, arg_required_else_help = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand, Debug)]
+enum Command {
+    /// Run a server, with its own workers.
+    Serve(crate::config::ServeArgs),
+    /// Run a worker for a server.
+    Worker(worker::WorkerArgs),
+    /// Simplify a file on a server: upload, wait, fetch the result.
+    Submit(submit::SubmitArgs),
+    /// Follow a job on a server.
+    Watch(watch::WatchArgs),
+    /// List the jobs of a server.
+    Jobs(jobs::JobsArgs),
+    /// Cancel a job.
+    Cancel(jobs::CancelArgs),
+    /// Delete a job that has ended, with its results.
+    Delete(jobs::DeleteArgs),
+    /// Fetch the results of a job.
+    Fetch(fetch::FetchArgs),
+    /// Simplify a file in this process, without a server.
+    Run(run::RunArgs),
+    /// Tell how much a simplified mesh looks like its original: pictures and distances.
+    Compare(compare::CompareArgs),
+    /// Take any level of detail out of a progressive mesh.
+    Extract(extract::ExtractArgs),
+    /// Write a sample model to try things on.
+    Sample(sample::SampleArgs),
+    /// Find out what is wrong with this machine or server, and how to mend it.
+    Doctor(doctor::DoctorArgs),
+    /// Print a completion script for a shell.
+    Completions {
+        /// Which shell.
+        shell: clap_complete::Shell,
+    },
+}
+
+/// Reads the command line, runs the command, reports its error.
+pub(crate) async fn run() -> ExitCode {
+    let cli = Cli::parse();
+    init_logs(&cli.command);
+    match dispatch(cli.command).await {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => failure.report(),
+    }
+}
+
+/// Roles log what they do; commands only what goes wrong.
+fn init_logs(command: &Command) {
+    let (level, json) = match command {
+        Command::Serve(args) => ("info", args.log_json),
+        Command::Worker(args) => ("info", args.log_json),
+        _ => ("warn", false),
+    };
+    telemetry::init_logs(level, std::env::var("RUST_LOG").ok().as_deref(), json);
+}
+
+async fn dispatch(command: Command) -> Result<(), Failure> {
+    match command {
+        Command::Serve(args) => serve::run(args).await,
+        Command::Worker(args) => worker::run(args).await,
+        Command::Submit(args) => submit::run(args).await,
+        Command::Watch(args) => watch::run(args).await,
+        Command::Jobs(args) => jobs::list(args).await,
+        Command::Cancel(args) => jobs::cancel(args).await,
+        Command::Delete(args) => jobs::delete(args).await,
+        Command::Fetch(args) => fetch::run(args).await,
+        Command::Run(args) => run::run(args).await,
+        Command::Compare(args) => compare::run(&args),
+        Command::Extract(args) => extract::run(&args),
+        Command::Sample(args) => sample::run(&args),
+        Command::Doctor(args) => doctor::run(args).await,
+        Command::Completions { shell } => {
+            let mut out = Vec::new();
+            clap_complete::generate(shell, &mut Cli::command(), "lookalike", &mut out);
+            show::print(&String::from_utf8_lossy(&out));
+            Ok(())
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_well_formed() {
+        Cli::command().debug_assert();
+    }
+}

@@ -1,1 +1,18 @@
-//! compare
+//! Off-line evaluation: does the simplified mesh look like the original, by figures and pictures.
+//!
+//! Knows nothing of how a mesh was simplified, and nothing of files: meshes in, figures, PNG bytes
+//! and SVG text out.
+
+mod canvas;
+mod evaluate;
+pub mod plot;
+pub mod raster;
+pub mod sample;
+mod scan;
+pub mod sheet;
+
+pub use evaluate::{Comparison, Params, Reference, compare, report_text};
+pub use plot::{CurvePoint, PlotParams, PlotX, energy_plot};
+pub use raster::{Appearance, Look, Shading};
+pub use sample::sample_mesh;
+pub use sheet::{Axis, SheetParams, SheetView, all_round_views, sheet, sheet_multi};

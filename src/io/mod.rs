@@ -1,1 +1,76 @@
-//! io
+//! Bytes in, bytes out: GLB, glTF, PLY, OBJ and STL files become a [`Mesh`] and back.
+//!
+//! Reading has three steps: a reader turns bytes into a *soup* (patches of indexed triangles with
+//! attributes, in world space), [`weld`] joins bit-equal positions into vertices and equal
+//! attribute vectors into wedges, [`report`] counts what there is.
+//!
+//! Invariants:
+//! 1. whatever the bytes, a reader returns a mesh or an error that names file, place and remedy;
+//! 2. nothing is allocated by a count that a file states before that count is held against the
+//!    bytes that are there and against [`Limits`];
+//! 3. a mesh that was read obeys the invariants of [`crate::mesh::Mesh`] and has no unreferenced
+//!    vertex, wedge or repeated-vertex triangle;
+//! 4. the same bytes give the same mesh, and the same mesh gives the same bytes.
+//!
+//! Of the borrowed parsers only `gltf` (its JSON schema) is used. Its accessor iterators compute
+//! `count - 1` and `stride * count` unchecked, so buffers are read here. `ply-rs-bw` keeps each
+//! element as an object of its own and loops over elements without properties as often as the
+//! header says; `tobj` and `stl_io` report no line, so an error could not name its place, and
+//! `stl_io` takes every file that begins with `solid ` for text. The readers here are small.
+//!
+//! Knows nothing of files on disk, networks, pictures or jobs.
+
+mod error;
+mod format;
+mod gltf;
+mod intern;
+mod limits;
+mod obj;
+mod ply;
+mod report;
+mod soup;
+mod source;
+mod stl;
+mod weld;
+mod write;
+
+#[cfg(test)]
+mod tests;
+
+pub use error::IoError;
+pub use limits::Limits;
+pub use report::{BoundingBox, IngestReport, Note};
+pub use write::{PlyPositions, write_glb, write_obj, write_ply};
+
+use crate::mesh::Mesh;
+use source::Source;
+
+/// A mesh and what was found and done while reading it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Ingest {
+    /// World space, instances placed, coincident points joined.
+    pub mesh: Mesh,
+    /// Counts and notes.
+    pub report: IngestReport,
+}
+
+/// Reads a model. `name` names the file in errors and its extension suggests the format; the
+/// content decides (see `format`).
+///
+/// # Errors
+/// [`IoError`] names file, place and remedy; [`IoError::code`] is stable.
+pub fn read(name: &str, bytes: &[u8], limits: &Limits) -> Result<Ingest, IoError> {
+    let source = Source { file: name, bytes, limits };
+    source.check_size()?;
+    let format = format::detect(&source)?;
+    let mut soup = (format.read)(&source)?;
+    if !format.has_extension_of(name) {
+        soup.notes.add(
+            "format_by_content",
+            format!("read as {} by its content, whatever its extension", format.name),
+        );
+    }
+    let mut welded = weld::weld(&source, soup)?;
+    let report = report::survey(format.name, &mut welded);
+    Ok(Ingest { mesh: welded.mesh, report })
+}

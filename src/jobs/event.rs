@@ -1,6 +1,79 @@
-//! What a running job reports: the body of one entry of its event log.
+//! The event log of a job: what its worker reports, and what the server adds.
+//!
+//! 1. A log is append-only; its numbers start at 1, have no gaps and are never reused.
+//! 2. The first entry says that the job was created; the last one of an ended job says how it ended.
+//!
+//! Knows nothing of how entries are stored or sent.
 
 use serde::{Deserialize, Serialize};
+
+use super::state::State;
+
+/// One entry of the log of a job.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Event {
+    /// Position, from 1.
+    pub seq: u64,
+    /// The attempt's lease epoch; 0 before the first.
+    pub epoch: u64,
+    /// When it was stored, milliseconds since 1970.
+    pub at_ms: i64,
+    /// What happened.
+    pub body: Body,
+}
+
+/// What happened, and who says so.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum Body {
+    /// The server.
+    Server(ServerEvent),
+    /// The worker.
+    Worker(Report),
+}
+
+/// What the server adds to the log.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum ServerEvent {
+    /// The job moved to another state.
+    StateChanged {
+        /// The new state.
+        state: State,
+        /// Stable upper-snake-case code.
+        reason: String,
+        /// One sentence for people.
+        text: String,
+        /// Number of the attempt, from 1; 0 before the first.
+        attempt: u32,
+        /// The worker concerned, or empty.
+        worker: String,
+    },
+    /// An attempt was lost; what it reported after `rewind_to_seq` is void.
+    Restarted {
+        /// The last entry that still counts.
+        rewind_to_seq: u64,
+        /// Number of the lost attempt.
+        lost_attempt: u32,
+        /// Stable upper-snake-case code.
+        reason: String,
+        /// One sentence for people.
+        text: String,
+    },
+}
+
+/// The entry that every log begins with, and to which a job without checkpoints rewinds.
+pub const CREATED_SEQ: u64 = 1;
+
+impl Body {
+    /// The state this entry moved the job to, if it is such an entry.
+    pub fn state(&self) -> Option<State> {
+        match self {
+            Self::Server(ServerEvent::StateChanged { state, .. }) => Some(*state),
+            _ => None,
+        }
+    }
+}
 
 /// A point of the energy curve, with the time the worker measured.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -1,4 +1,218 @@
 //! Jobs: specification, states, leases, events, stores. Knows nothing of geometry or of gRPC.
+//!
+//! [`Jobs`] is a cloneable handle on one data directory:
+//!
+//! ```text
+//! DIR/lock           held by the server that owns the directory
+//! DIR/jobs.sqlite3   jobs, leases, event log, manifests (store/)
+//! DIR/objects/       meshes, record segments, artifacts (blobs.rs)
+//! DIR/workers/       one lock file for each local worker, held while it lives
+//! ```
+//!
+//! 1. What a call returned `Ok` for survives the death of every process.
+//! 2. Bytes are in place before the row that tells of them.
+//! 3. Every write of a worker is conditional on its lease.
+//!
+//! `clients.rs`, `attempts.rs` and `follow.rs` hold what clients, workers and watchers ask for.
 
+pub mod blobs;
+pub mod clients;
+pub mod error;
 pub mod event;
+pub mod follow;
+pub mod lease;
+pub mod segment;
+pub mod signals;
 pub mod spec;
+pub mod state;
+pub mod store;
+
+mod attempts;
+
+use std::{
+    fs::{self, File, TryLockError},
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+use self::{
+    blobs::Blobs,
+    error::{Error, Result},
+    lease::{Loss, Terms},
+    signals::Signals,
+    store::{Job, Store},
+};
+
+/// Caps on what clients may ask for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Bytes of a mesh file.
+    pub max_mesh_bytes: u64,
+    /// Bytes of an artifact.
+    pub max_artifact_bytes: u64,
+    /// Jobs that may wait at once.
+    pub max_queued: u64,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self { max_mesh_bytes: 4 << 30, max_artifact_bytes: 4 << 30, max_queued: 100_000 }
+    }
+}
+
+/// A data directory and everything in it.
+#[derive(Clone, Debug)]
+pub struct Jobs(Arc<Inner>);
+
+#[derive(Debug)]
+struct Inner {
+    store: Store,
+    blobs: Blobs,
+    signals: Signals,
+    terms: Terms,
+    limits: Limits,
+    workers: PathBuf,
+    /// Held as long as this process owns the directory.
+    _lock: File,
+}
+
+impl Jobs {
+    /// Opens a data directory, creating it; fails when another process owns it.
+    pub async fn open(data_dir: &Path, terms: Terms, limits: Limits) -> Result<Self> {
+        fs::create_dir_all(data_dir).map_err(Error::io(data_dir))?;
+        let lock = lock(data_dir)?;
+        let workers = data_dir.join("workers");
+        fs::create_dir_all(&workers).map_err(Error::io(&workers))?;
+        let blobs = Blobs::open(&data_dir.join("objects"))?;
+        let store = Store::open(&data_dir.join("jobs.sqlite3")).await?;
+        let signals = Signals::default();
+        let jobs =
+            Self(Arc::new(Inner { store, blobs, signals, terms, limits, workers, _lock: lock }));
+        jobs.sweep_orphans().await?;
+        jobs.recover().await?;
+        Ok(jobs)
+    }
+
+    /// Looks into a data directory that no server uses, without touching its jobs: how many are in
+    /// each state.
+    pub async fn inspect(data_dir: &Path) -> Result<Vec<(state::State, u64)>> {
+        let _lock = lock(data_dir)?;
+        let store = Store::open(&data_dir.join("jobs.sqlite3")).await?;
+        let counts = store.counts().await;
+        store.close().await;
+        counts
+    }
+
+    /// The terms on which leases are given.
+    pub fn terms(&self) -> &Terms {
+        &self.0.terms
+    }
+
+    /// How many jobs are in each state.
+    pub async fn counts(&self) -> Result<Vec<(state::State, u64)>> {
+        self.0.store.counts().await
+    }
+
+    /// Finishes what is being written.
+    pub async fn close(&self) {
+        self.0.store.close().await;
+    }
+
+    /// Takes away every lease that ran out, or whose holder's process ended (nobody waits for the
+    /// workers of an earlier server). To be called now and then; the jobs concerned.
+    pub async fn sweep_leases(&self) -> Result<Vec<Job>> {
+        let lost = self.0.store.lose_expired(self.0.terms.max_lost).await?;
+        let mut lost = self.announce(lost);
+        for worker in self.0.store.lease_holders().await? {
+            if is_alive(&self.worker_lock(&worker)) == Some(false) {
+                lost.extend(self.worker_gone(&worker).await?);
+            }
+        }
+        Ok(lost)
+    }
+
+    /// Takes away what a worker holds whose process is known to have ended; the jobs concerned.
+    pub async fn worker_gone(&self, worker: &str) -> Result<Vec<Job>> {
+        let _ = fs::remove_file(self.worker_lock(worker));
+        self.lose_worker(worker, Loss::WorkerExited).await
+    }
+
+    /// The file that a local worker locks as long as it lives.
+    pub fn worker_lock(&self, worker: &str) -> PathBuf {
+        self.0.workers.join(format!("{worker}.lock"))
+    }
+
+    /// After a start: jobs of local workers that are gone start over at once; workers that outlived
+    /// the last server keep their leases, and get the time back in which nobody could hear them.
+    async fn recover(&self) -> Result<()> {
+        for worker in self.0.store.lease_holders().await? {
+            if is_alive(&self.worker_lock(&worker)) == Some(false) {
+                self.lose_worker(&worker, Loss::ServerRestarted).await?;
+            } else {
+                self.0.store.renew(&worker, &self.0.terms).await?;
+            }
+        }
+        for entry in fs::read_dir(&self.0.workers).map_err(Error::io(&self.0.workers))?.flatten() {
+            if is_alive(&entry.path()) == Some(false) {
+                let _ = fs::remove_file(entry.path());
+            }
+        }
+        Ok(())
+    }
+
+    /// Removes the files of jobs that are no more.
+    async fn sweep_orphans(&self) -> Result<()> {
+        for id in self.0.blobs.jobs()? {
+            if !self.0.store.exists(&id).await? {
+                self.0.blobs.remove_job(&id)?;
+            }
+        }
+        Ok(())
+    }
+
+    async fn lose_worker(&self, worker: &str, loss: Loss) -> Result<Vec<Job>> {
+        let lost = self.0.store.lose_worker(worker, loss, self.0.terms.max_lost).await?;
+        Ok(self.announce(lost))
+    }
+
+    /// Wakes whoever waits for these jobs.
+    fn announce(&self, jobs: Vec<Job>) -> Vec<Job> {
+        for job in &jobs {
+            self.0.signals.log_grew(&job.id);
+            if job.state == state::State::Queued {
+                self.0.signals.queue_grew();
+            }
+        }
+        jobs
+    }
+
+    /// Runs what blocks on a thread that may block.
+    async fn blocking<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&Blobs) -> Result<T> + Send + 'static,
+    ) -> Result<T> {
+        let inner = Arc::clone(&self.0);
+        tokio::task::spawn_blocking(move || work(&inner.blobs)).await?
+    }
+}
+
+fn lock(data_dir: &Path) -> Result<File> {
+    let path = data_dir.join("lock");
+    let file = File::options().create(true).truncate(false).write(true).open(&path);
+    let file = file.map_err(Error::io(&path))?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(TryLockError::WouldBlock) => Err(Error::InUse(data_dir.into())),
+        Err(TryLockError::Error(source)) => Err(Error::Io { path, source }),
+    }
+}
+
+/// Whether the process that locked this file lives; `None` when there is no such file, as for a
+/// worker on another machine.
+fn is_alive(lock: &Path) -> Option<bool> {
+    let file = File::open(lock).ok()?;
+    Some(matches!(file.try_lock(), Err(TryLockError::WouldBlock)))
+}
+
+#[cfg(test)]
+mod tests;

@@ -146,3 +146,148 @@ impl Spec {
         }
     }
 }
+
+/// One thing wrong with a specification or a request.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Fault {
+    /// Path of the field, such as `render.image_size` or `triangles[1]`.
+    pub field: String,
+    /// What is wrong and what is allowed.
+    pub text: String,
+}
+
+/// Most levels of detail of one job.
+pub const MAX_LEVELS: usize = 64;
+/// Most custom views of one job.
+pub const MAX_VIEWS: usize = 64;
+const VIEW_COUNTS: [u32; 6] = [4, 6, 8, 12, 20, 24];
+
+impl Spec {
+    /// Every fault of the specification; empty when it can run.
+    pub fn validate(&self) -> Vec<Fault> {
+        let mut faults = Vec::new();
+        let levels = self.triangles.len();
+        if levels == 0 || levels > MAX_LEVELS {
+            let text = format!("{levels} levels of detail: ask for 1 to {MAX_LEVELS}");
+            faults.push(Fault { field: "triangles".into(), text });
+        }
+        for i in (0..levels).filter(|&i| self.triangles[i] == 0) {
+            let text = "0 triangles is not a level of detail: ask for at least 1".into();
+            faults.push(Fault { field: format!("triangles[{i}]"), text });
+        }
+        range(&mut faults, "start_factor", self.start_factor, 1.0, 1000.0);
+        range(&mut faults, "lambda", self.lambda, 0.0, 1.0);
+        range(&mut faults, "max_secs", self.max_secs, 0.0, 1e9);
+        self.render.validate(&mut faults);
+        faults
+    }
+}
+
+impl Render {
+    /// How many pictures are taken.
+    pub fn view_count(&self) -> usize {
+        if self.custom_views.is_empty() { self.n_views as usize } else { self.custom_views.len() }
+    }
+
+    fn validate(&self, faults: &mut Vec<Fault>) {
+        let mut fault = |field: &str, text: String| {
+            faults.push(Fault { field: format!("render.{field}"), text });
+        };
+        if self.custom_views.is_empty() && !VIEW_COUNTS.contains(&self.n_views) {
+            fault("n_views", format!("{} views: use 4, 6, 8, 12, 20 or 24", self.n_views));
+        }
+        if self.custom_views.len() > MAX_VIEWS {
+            let n_views = self.custom_views.len();
+            fault("custom_views", format!("{n_views} views: at most {MAX_VIEWS} are allowed"));
+        }
+        for (i, view) in self.custom_views.iter().enumerate() {
+            let square = view.iter().map(|c| c * c).sum::<f64>();
+            if !square.is_normal() {
+                let text = format!("{view:?} is not a direction: use a length of 1e-150 to 1e150");
+                fault(&format!("custom_views[{i}]"), text);
+            }
+        }
+        if !(64..=1024).contains(&self.image_size) || !self.image_size.is_multiple_of(8) {
+            let text = format!("{} pixels: use 64 to 1024, a multiple of 8", self.image_size);
+            fault("image_size", text);
+        }
+        if self.interior_views as usize > self.view_count() {
+            let text = format!(
+                "{} interior views of {}: at most all of them can be interior",
+                self.interior_views,
+                self.view_count()
+            );
+            fault("interior_views", text);
+        }
+        range(faults, "render.fov_degrees", self.fov_degrees, 5.0, 120.0);
+        range(faults, "render.background", self.background, 0.0, 1.0);
+        range(faults, "render.ambient", self.ambient, 0.0, 1.0);
+        range(faults, "render.light_degrees", self.light_degrees, 0.0, 90.0);
+    }
+}
+
+/// Not a number is outside every range.
+fn range(faults: &mut Vec<Fault>, field: &str, value: f64, low: f64, high: f64) {
+    if !(low..=high).contains(&value) {
+        faults.push(Fault { field: field.into(), text: format!("{value}: use {low} to {high}") });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn fields(spec: &Spec) -> Vec<String> {
+        spec.validate().into_iter().map(|fault| fault.field).collect()
+    }
+
+    #[test]
+    fn the_default_job_is_sound() {
+        assert_eq!(Spec::new(vec![500, 100]).validate(), []);
+        let read: Spec = serde_json::from_str(r#"{"triangles": [500, 100]}"#).unwrap();
+        assert_eq!(read, Spec::new(vec![500, 100]));
+    }
+
+    #[test]
+    fn every_fault_is_listed_at_once() {
+        let mut spec = Spec::new(vec![10, 0]);
+        spec.start_factor = 0.5;
+        spec.lambda = f64::NAN;
+        spec.max_secs = f64::INFINITY;
+        spec.render.n_views = 7;
+        spec.render.image_size = 100;
+        spec.render.interior_views = 8;
+        spec.render.background = -0.1;
+        let wanted = [
+            "triangles[1]",
+            "start_factor",
+            "lambda",
+            "max_secs",
+            "render.n_views",
+            "render.image_size",
+            "render.interior_views",
+            "render.background",
+        ];
+        assert_eq!(fields(&spec), wanted);
+    }
+
+    #[test]
+    fn custom_views_replace_the_count() {
+        let mut spec = Spec::new(vec![10]);
+        spec.render.n_views = 7;
+        spec.render.custom_views = vec![[0.0, 0.0, 2.0]];
+        assert_eq!(spec.validate(), []);
+        spec.render.custom_views.push([0.0; 3]);
+        spec.render.custom_views.push([f64::INFINITY, 0.0, 0.0]);
+        assert_eq!(fields(&spec), ["render.custom_views[1]", "render.custom_views[2]"]);
+    }
+
+    #[test]
+    fn numbers_survive_storage() {
+        let mut spec = Spec::new(vec![10]);
+        spec.seed = u64::MAX;
+        spec.render.custom_views = vec![[1.0 / 3.0, std::f64::consts::PI, -1e-300]];
+        let text = serde_json::to_string(&spec).unwrap();
+        assert_eq!(serde_json::from_str::<Spec>(&text).unwrap(), spec);
+    }
+}

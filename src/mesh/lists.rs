@@ -97,11 +97,10 @@ impl<T: Id, C, A: Default> Lists<T, C, A> {
     #[inline]
     pub(super) fn get(&self, list: usize) -> &[T] {
         let row = &self.rows[list];
-        if let Some(items) = row.inline.get(..row.len as usize) {
-            return items;
-        }
-        let start = row.place().0;
-        &self.pool[start..start + row.len as usize]
+        row.inline.get(..row.len as usize).unwrap_or_else(|| {
+            let start = row.place().0;
+            &self.pool[start..start + row.len as usize]
+        })
     }
 
     /// What is kept beside a list.

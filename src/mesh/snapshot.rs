@@ -22,20 +22,25 @@ impl EditMesh {
 
     /// The living part as a mesh of its own, with the ids it had here.
     pub fn snapshot_with_ids(&self) -> Snapshot {
-        let source = &self.mesh;
-        let face_ids: Vec<FaceId> = self.faces().collect();
-        let (vertex_ids, faces) = compact(&face_ids, &source.faces, source.positions.len());
-        let (wedge_ids, face_wedges) = compact(&face_ids, &source.face_wedges, source.n_wedges());
-        let layers = source.layers.iter().map(|layer| keep_wedges(layer, &wedge_ids)).collect();
-        let has_materials = !source.face_materials.is_empty();
+        self.mesh.subset(self.faces().collect())
+    }
+}
+
+impl Mesh {
+    /// The given triangles (ascending ids) as a mesh of their own.
+    pub fn subset(&self, face_ids: Vec<FaceId>) -> Snapshot {
+        let (vertex_ids, faces) = compact(&face_ids, &self.faces, self.positions.len());
+        let (wedge_ids, face_wedges) = compact(&face_ids, &self.face_wedges, self.n_wedges());
+        let layers = self.layers.iter().map(|layer| keep_wedges(layer, &wedge_ids)).collect();
+        let has_materials = !self.face_materials.is_empty();
         let materials_of = face_ids.iter().filter(|_| has_materials);
         let mesh = Mesh {
-            positions: vertex_ids.iter().map(|&v| source.positions[v as usize]).collect(),
+            positions: vertex_ids.iter().map(|&v| self.positions[v as usize]).collect(),
             faces,
             face_wedges,
-            face_materials: materials_of.map(|&f| source.material_of(f)).collect(),
+            face_materials: materials_of.map(|&f| self.material_of(f)).collect(),
             layers,
-            materials: source.materials.clone(),
+            materials: self.materials.clone(),
         };
         Snapshot { mesh, face_ids, vertex_ids: vertex_ids.into_iter().map(VertexId).collect() }
     }

@@ -1,1 +1,14 @@
-//! metric
+//! How far apart two pictures, or two surfaces, are; and the objective of the image-driven stages:
+//! what a local edit of the mesh does to the pictures.
+//!
+//! Knows nothing of queues, jobs or files.
+
+mod albedo;
+mod bvh;
+pub mod image;
+mod objective;
+pub mod surface;
+
+pub use objective::{
+    Objective, Pictures, bounding_sphere, d2_percent, reference_pictures, scene_of_edit_mesh,
+};

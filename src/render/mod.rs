@@ -1,1 +1,27 @@
-//! render
+//! Pictures of the model, and the evaluator that tells what a local edit does to them.
+//!
+//! Knows nothing of edge queues, jobs or files.
+
+mod choose;
+#[cfg(test)]
+mod contract;
+mod device;
+mod evaluator;
+mod fragments;
+mod gpu;
+pub mod lattice;
+mod moves;
+mod raster;
+mod scene;
+mod simd;
+mod tiles;
+mod twin;
+pub mod view;
+
+pub use choose::{Choice, choose, make_evaluator};
+pub use device::{AdapterInfo, adapters};
+pub use evaluator::{Evaluator, Reference, RenderError};
+pub use moves::{AddedFace, MAX_MOVE_VERTICES, Move};
+pub use raster::{energy, picture, reference};
+pub use scene::{RenderParams, Scene, SceneFace, Shading};
+pub use twin::Twin;

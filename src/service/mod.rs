@@ -1,1 +1,19 @@
-//! service
+//! gRPC: thin adapters between the wire and [`crate::jobs`].
+//!
+//! 1. A handler is: read the request, call [`Jobs`](crate::jobs::Jobs), convert the answer.
+//! 2. Wire types stop in `convert/`; errors become statuses in `status.rs` and nowhere else.
+//! 3. Every error carries a `google.rpc.ErrorInfo` of domain `lookalike`, so that clients can tell
+//!    an answer from a broken connection.
+//!
+//! Knows nothing of geometry, of processes, or of the command line.
+
+pub mod client;
+pub mod convert;
+pub mod observe;
+pub mod proto;
+pub mod server;
+pub mod status;
+
+mod api;
+mod transfer;
+mod worker_api;

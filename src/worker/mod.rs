@@ -1,3 +1,19 @@
-//! Where geometry and jobs meet: runs one attempt of a job, stage by stage.
+//! Where geometry and jobs meet: a process that claims jobs and runs them, one at a time.
+//!
+//! 1. A worker speaks only gRPC to its server: it opens no database and no object directory.
+//! 2. What the pipeline reports is kept until the server acknowledged it ([`outbox`]).
+//! 3. A lease that the server calls stale ends the attempt at once; nothing of it is sent any more.
+//! 4. A worker that cannot reach its server for a minute ends.
+//!
+//! [`agent`] is the claim loop, [`attempt`] runs one job, [`supervisor`] keeps local workers alive.
 
+pub mod agent;
+pub mod attempt;
+mod levels;
+pub mod link;
+pub mod outbox;
+mod params;
 pub mod pipeline;
+mod recorder;
+mod results;
+pub mod supervisor;

@@ -1,0 +1,47 @@
+# Lookalike: two commands do everything on a fresh Debian 12 with a Rust toolchain.
+#   make demo [MODEL=path]   build, start a server, simplify a model, leave the results in out/demo
+#   make test                everything that CI checks
+.PHONY: demo test setup build lint unit python loadtest torture bench deny
+
+CARGO ?= cargo
+VENV := .venv
+
+demo: build
+	deploy/demo.sh $(MODEL)
+
+build:
+	deploy/setup.sh
+	$(CARGO) build --release --bins
+
+test: lint unit python
+	@echo "all checks passed"
+
+lint:
+	deploy/setup.sh test
+	$(CARGO) fmt --check
+	$(CARGO) clippy --release --all-targets -- -D warnings
+
+unit:
+	deploy/setup.sh test
+	INSTA_CI=1 $(CARGO) test --release
+
+python: $(VENV)/installed
+	LOOKALIKE_BIN=$(CURDIR)/target/release/lookalike $(VENV)/bin/python -m pytest -q clients/python/tests
+
+$(VENV)/installed: clients/python/pyproject.toml $(wildcard proto/lookalike/*/*.proto)
+	deploy/setup.sh test
+	python3 -m venv $(VENV)
+	$(VENV)/bin/pip install -q './clients/python[test]'
+	touch $@
+
+loadtest: build $(VENV)/installed
+	$(VENV)/bin/python loadtest/farm.py --binary target/release/lookalike --jobs 40 --in-flight 8
+
+torture:
+	LOOKALIKE_TORTURE_ROUNDS=20 $(CARGO) test --release --test service -- torture --nocapture
+
+bench:
+	$(CARGO) bench
+
+deny:
+	$(CARGO) deny check

@@ -1,0 +1,163 @@
+//! `lookalike doctor`: what this machine needs to run jobs, what is wrong, and how to mend it.
+
+use std::{
+    fs,
+    net::{SocketAddr, TcpListener},
+    path::{Path, PathBuf},
+};
+
+use clap::Args;
+use lookalike::{
+    jobs::{Jobs, error::Error},
+    render::{AdapterInfo, adapters},
+};
+
+use super::{
+    exit::{Exit, Failure},
+    show,
+};
+
+/// Flags of `lookalike doctor`.
+#[derive(Args, Debug)]
+pub(crate) struct DoctorArgs {
+    /// Also check this data directory.
+    #[arg(long, env = "LOOKALIKE_DATA_DIR", value_name = "DIR")]
+    data_dir: Option<PathBuf>,
+    /// The server's address.
+    #[arg(long, env = "LOOKALIKE_LISTEN", default_value = "127.0.0.1:7420")]
+    listen: SocketAddr,
+    /// One JSON object a line.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Where Vulkan drivers register.
+const DRIVER_FOLDERS: [&str; 3] =
+    ["/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/share/vulkan/icd.d"];
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Grade {
+    Good,
+    /// Works, with less than there could be.
+    Fair,
+    Bad,
+}
+
+/// One thing looked at.
+#[derive(Debug)]
+struct Finding {
+    what: &'static str,
+    grade: Grade,
+    text: String,
+}
+
+pub(crate) async fn run(args: DoctorArgs) -> Result<(), Failure> {
+    let mut findings = vec![vulkan(&driver_files()), devices(), port(args.listen)];
+    if let Some(data_dir) = &args.data_dir {
+        findings.push(store(data_dir).await);
+    }
+    for finding in &findings {
+        show::print(&line(finding, args.json));
+    }
+    if findings.iter().any(|finding| finding.grade == Grade::Bad) {
+        return Err(Failure::new(Exit::Failed, "something must be mended: see above"));
+    }
+    Ok(())
+}
+
+fn line(finding: &Finding, json: bool) -> String {
+    let Finding { what, grade, text } = finding;
+    let grade = match grade {
+        Grade::Good => "good",
+        Grade::Fair => "fair",
+        Grade::Bad => "BAD",
+    };
+    if json {
+        let grade = grade.to_lowercase();
+        return format!("{}\n", serde_json::json!({"what": what, "grade": grade, "text": text}));
+    }
+    format!("{grade:<5} {what:<8} {text}\n")
+}
+
+fn vulkan(drivers: &[PathBuf]) -> Finding {
+    let names: Vec<_> = drivers.iter().filter_map(|path| path.file_stem()?.to_str()).collect();
+    let (grade, text) = if names.is_empty() {
+        let text = "no Vulkan driver: jobs run on the native evaluator (--device cpu); for a graphics \
+                    card install its driver, for the software rasterizer run `apt-get install \
+                    mesa-vulkan-drivers`";
+        (Grade::Fair, text.into())
+    } else {
+        (Grade::Good, format!("drivers: {}", names.join(", ")))
+    };
+    Finding { what: "vulkan", grade, text }
+}
+
+fn devices() -> Finding {
+    let adapter = |a: &AdapterInfo| match &a.unfit {
+        None => format!("{} ({}, {})", a.name, a.kind, a.driver),
+        Some(why) => format!("{} (cannot be used: {why})", a.name),
+    };
+    let names: Vec<String> = adapters().iter().map(adapter).collect();
+    let native = "the native evaluator (`--device cpu`)".to_owned();
+    let text = std::iter::once(native).chain(names).collect::<Vec<_>>().join("; ");
+    Finding { what: "devices", grade: Grade::Good, text }
+}
+
+fn driver_files() -> Vec<PathBuf> {
+    let folders = DRIVER_FOLDERS.iter().filter_map(|folder| fs::read_dir(folder).ok());
+    let mut files: Vec<_> = folders.flatten().flatten().map(|entry| entry.path()).collect();
+    files.retain(|path| path.extension().is_some_and(|extension| extension == "json"));
+    files.sort();
+    files
+}
+
+fn port(address: SocketAddr) -> Finding {
+    let (grade, text) = match TcpListener::bind(address) {
+        Ok(_) => (Grade::Good, format!("{address} is free")),
+        Err(error) if error.kind() == std::io::ErrorKind::AddrInUse => {
+            let text =
+                "is in use, by a running server or by another program: `lookalike jobs` tells";
+            (Grade::Fair, format!("{address} {text}"))
+        }
+        Err(error) => {
+            (Grade::Bad, format!("{address} cannot be used ({error}): choose another --listen"))
+        }
+    };
+    Finding { what: "port", grade, text }
+}
+
+async fn store(data_dir: &Path) -> Finding {
+    let what = "store";
+    if !data_dir.exists() {
+        let text =
+            format!("{} does not exist: `lookalike serve` will create it", data_dir.display());
+        return Finding { what, grade: Grade::Fair, text };
+    }
+    match Jobs::inspect(data_dir).await {
+        Ok(counts) => {
+            let counts: Vec<_> = counts.iter().map(|(state, n)| format!("{n} {state}")).collect();
+            let text = format!("{}: {}", data_dir.display(), counts.join(", "));
+            Finding { what, grade: Grade::Good, text }
+        }
+        Err(error @ Error::InUse(_)) => {
+            Finding { what, grade: Grade::Good, text: error.to_string() }
+        }
+        Err(error) => {
+            let text = format!("{error}; mend it, or choose another --data-dir");
+            Finding { what, grade: Grade::Bad, text }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_missing_driver_names_its_package() {
+        let finding = vulkan(&[]);
+        assert_eq!(finding.grade, Grade::Fair);
+        assert!(line(&finding, false).contains("mesa-vulkan-drivers"));
+        assert!(vulkan(&["/x/lvp_icd.x86_64.json".into()]).text.contains("lvp_icd"));
+    }
+}

@@ -1,0 +1,93 @@
+//! How a command fails: an exit code that scripts can rely on, and a text for people.
+
+use std::process::ExitCode;
+
+use lookalike::service::{
+    client::is_transient,
+    status::{faults_of, reason_of},
+};
+use tonic::Status;
+
+/// Exit codes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub(crate) enum Exit {
+    /// The job or the command failed.
+    Failed = 1,
+    /// The command line or the job's specification is at fault.
+    Usage = 2,
+    /// No server answers.
+    Unreachable = 3,
+    /// The job was cancelled.
+    Cancelled = 130,
+}
+
+/// A failed command.
+#[derive(Debug)]
+pub(crate) struct Failure {
+    pub(crate) exit: Exit,
+    pub(crate) error: anyhow::Error,
+}
+
+impl Failure {
+    pub(crate) fn new(exit: Exit, text: impl Into<String>) -> Self {
+        Self { exit, error: anyhow::Error::msg(text.into()) }
+    }
+
+    /// Several faults, one a line.
+    pub(crate) fn faults(faults: &[String]) -> Self {
+        Self::new(Exit::Usage, faults.join("\n"))
+    }
+
+    /// Tells the person at the terminal.
+    pub(crate) fn report(&self) -> ExitCode {
+        for line in format!("{:#}", self.error).lines() {
+            eprintln!("lookalike: {line}");
+        }
+        ExitCode::from(self.exit as u8)
+    }
+}
+
+impl From<anyhow::Error> for Failure {
+    fn from(error: anyhow::Error) -> Self {
+        Self { exit: Exit::Failed, error }
+    }
+}
+
+/// What a server answered, or that none did. `url` is where it should be.
+pub(crate) fn refused(url: &str, status: &Status) -> Failure {
+    let faults = faults_of(status);
+    if reason_of(status).as_deref() == Some("INVALID") && !faults.is_empty() {
+        let line =
+            |fault: &lookalike::jobs::spec::Fault| format!("{}: {}", fault.field, fault.text);
+        return Failure::faults(&faults.iter().map(line).collect::<Vec<_>>());
+    }
+    if is_transient(status) {
+        return unreachable(url, status.message());
+    }
+    Failure::new(Exit::Failed, status.message())
+}
+
+/// No server answers at `url`.
+pub(crate) fn unreachable(url: &str, why: &str) -> Failure {
+    let text = format!(
+        "no server answers at {url} ({why}): start one with `lookalike serve --data-dir DIR`, or name \
+         another with --server"
+    );
+    Failure::new(Exit::Unreachable, text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use lookalike::service::status;
+
+    #[test]
+    fn answers_and_silence_have_different_exit_codes() {
+        let url = "http://127.0.0.1:1";
+        assert_eq!(refused(url, &Status::unavailable("refused")).exit, Exit::Unreachable);
+        assert_eq!(refused(url, &status::invalid("name", "wrong")).exit, Exit::Usage);
+        let missing = lookalike::jobs::error::Error::NotFound("jobs/1".into());
+        assert_eq!(refused(url, &status::status_of(&missing)).exit, Exit::Failed);
+    }
+}

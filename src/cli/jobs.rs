@@ -1,0 +1,101 @@
+//! `lookalike jobs`, `cancel` and `delete`.
+
+use std::time::Duration;
+
+use clap::Args;
+use lookalike::{
+    jobs::state::State,
+    service::{convert, proto::v1},
+};
+
+use super::{
+    exit::{Exit, Failure},
+    remote::{Remote, ServerArgs, job_name},
+    show::{job_json, job_line, print, state_of},
+};
+
+/// Flags of `lookalike jobs`.
+#[derive(Args, Debug)]
+pub(crate) struct JobsArgs {
+    /// Only jobs in these states, separated by commas.
+    #[arg(long, value_delimiter = ',', value_name = "STATE")]
+    state: Vec<State>,
+    /// At most this many, newest first.
+    #[arg(long, default_value_t = 1000, value_name = "N")]
+    limit: usize,
+    /// One JSON object a line.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    server: ServerArgs,
+}
+
+/// Flags of `lookalike cancel`.
+#[derive(Args, Debug)]
+pub(crate) struct CancelArgs {
+    /// The job, `jobs/{id}` or just the id.
+    job: String,
+    /// Return as soon as the request is noted, before the worker confirms.
+    #[arg(long)]
+    no_wait: bool,
+    #[command(flatten)]
+    server: ServerArgs,
+}
+
+/// Flags of `lookalike delete`.
+#[derive(Args, Debug)]
+pub(crate) struct DeleteArgs {
+    /// The job, `jobs/{id}` or just the id.
+    job: String,
+    #[command(flatten)]
+    server: ServerArgs,
+}
+
+pub(crate) async fn list(args: JobsArgs) -> Result<(), Failure> {
+    let remote = Remote::connect(&args.server).await?;
+    let states = args.state.iter().map(|state| convert::state_to_wire(*state).into()).collect();
+    let mut request = v1::ListJobsRequest { page_size: 100, page_token: String::new(), states };
+    let mut left = args.limit;
+    loop {
+        let page = remote.call(|mut client| {
+            let request = request.clone();
+            async move { client.list_jobs(request).await }
+        });
+        let page = page.await?;
+        for job in page.jobs.into_iter().take(left) {
+            left -= 1;
+            print(&if args.json { format!("{}\n", job_json(job)) } else { job_line(&job) });
+        }
+        if left == 0 || page.next_page_token.is_empty() {
+            return Ok(());
+        }
+        request.page_token = page.next_page_token;
+    }
+}
+
+pub(crate) async fn cancel(args: CancelArgs) -> Result<(), Failure> {
+    let remote = Remote::connect(&args.server).await?;
+    let mut job = remote.cancel(&args.job).await?;
+    while !args.no_wait && state_of(&job).is_some_and(|state| !state.is_final()) {
+        tokio::time::sleep(Duration::from_millis(100)).await;
+        job = remote.job(&args.job).await?;
+    }
+    print(&job_line(&job));
+    match state_of(&job) {
+        Some(State::Succeeded | State::Failed) => {
+            let text = format!("{} ended before it could be cancelled", job.name);
+            Err(Failure::new(Exit::Failed, text))
+        }
+        _ => Ok(()),
+    }
+}
+
+pub(crate) async fn delete(args: DeleteArgs) -> Result<(), Failure> {
+    let remote = Remote::connect(&args.server).await?;
+    let request = v1::DeleteJobRequest { name: job_name(&args.job), allow_missing: false };
+    let answer = remote.call(|mut client| {
+        let request = request.clone();
+        async move { client.delete_job(request).await }
+    });
+    answer.await.map(|_| ())
+}

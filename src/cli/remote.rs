@@ -1,0 +1,258 @@
+//! A server seen from a command: calls that survive its restart.
+
+use std::{path::Path, time::Duration};
+
+use clap::Args;
+use futures::stream;
+use lookalike::{
+    jobs::event::Event,
+    service::{
+        client::{Backoff, connect, endpoint, is_transient},
+        convert,
+        proto::v1::{self, lookalike_service_client::LookalikeServiceClient},
+        server::MAX_MESSAGE_BYTES,
+    },
+};
+use prost::bytes::Bytes;
+use tokio::{io::AsyncWriteExt, time::Instant};
+use tonic::{Response, Status, transport::Channel};
+
+use super::exit::{Exit, Failure, refused, unreachable};
+
+type Client = LookalikeServiceClient<Channel>;
+
+/// A server that restarts is waited for this long.
+const PATIENCE: Duration = Duration::from_mins(1);
+/// Bytes of an upload's chunk.
+const CHUNK: usize = 256 << 10;
+
+/// Which server.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct ServerArgs {
+    /// The server's URL.
+    #[arg(
+        long,
+        env = "LOOKALIKE_SERVER",
+        default_value = "http://127.0.0.1:7420",
+        value_name = "URL"
+    )]
+    server: String,
+}
+
+/// A server that answered once.
+#[derive(Clone, Debug)]
+pub(crate) struct Remote {
+    url: String,
+    client: Client,
+}
+
+impl Remote {
+    /// Connects now, so that a missing server is noticed before anything else is done.
+    pub(crate) async fn connect(args: &ServerArgs) -> Result<Self, Failure> {
+        let url = args.server.clone();
+        let endpoint = endpoint(&url).map_err(|bad| Failure::new(Exit::Usage, bad.to_string()))?;
+        let channel = connect(endpoint).await.map_err(|error| {
+            let cause = std::error::Error::source(&error).map(ToString::to_string);
+            unreachable(&url, &cause.unwrap_or_else(|| error.to_string()))
+        })?;
+        let client = Client::new(channel).max_decoding_message_size(MAX_MESSAGE_BYTES);
+        Ok(Self { url, client })
+    }
+
+    /// Calls until the server answers.
+    pub(crate) async fn call<T, F>(&self, call: impl Fn(Client) -> F) -> Result<T, Failure>
+    where
+        F: Future<Output = Result<Response<T>, Status>>,
+    {
+        let mut patience = Patience::new(self);
+        loop {
+            match call(self.client.clone()).await {
+                Ok(answer) => return Ok(answer.into_inner()),
+                Err(status) => patience.after(status).await?,
+            }
+        }
+    }
+
+    /// Stores a mesh; its name.
+    pub(crate) async fn upload(&self, bytes: Bytes) -> Result<String, Failure> {
+        let header = v1::UploadMeshHeader {
+            size: bytes.len() as u64,
+            blake3: blake3::hash(&bytes).to_hex().to_string(),
+        };
+        let answer = self.call(|mut client| {
+            let (header, bytes) = (header.clone(), bytes.clone());
+            async move { client.upload_mesh(stream::iter(upload_parts(header, bytes))).await }
+        });
+        Ok(answer.await?.mesh)
+    }
+
+    /// One job.
+    pub(crate) async fn job(&self, name: &str) -> Result<v1::Job, Failure> {
+        let request = v1::GetJobRequest { name: job_name(name) };
+        let answer = self.call(|mut client| {
+            let request = request.clone();
+            async move { client.get_job(request).await }
+        });
+        self.present(answer.await?.job)
+    }
+
+    /// Asks for cancellation.
+    pub(crate) async fn cancel(&self, name: &str) -> Result<v1::Job, Failure> {
+        let request = v1::CancelJobRequest { name: job_name(name) };
+        let answer = self.call(|mut client| {
+            let request = request.clone();
+            async move { client.cancel_job(request).await }
+        });
+        self.present(answer.await?.job)
+    }
+
+    /// What the protocol promises is there.
+    pub(crate) fn present<T>(&self, part: Option<T>) -> Result<T, Failure> {
+        let text =
+            || format!("{} answered with less than it should: run the same version", self.url);
+        part.ok_or_else(|| Failure::new(Exit::Failed, text()))
+    }
+
+    /// Follows a log after `after_seq` to its end, across restarts of the server.
+    pub(crate) async fn follow(
+        &self,
+        name: &str,
+        mut after_seq: u64,
+        mut on: impl FnMut(Event),
+    ) -> Result<(), Failure> {
+        let name = job_name(name);
+        let mut patience = Patience::new(self);
+        loop {
+            let request = v1::WatchJobRequest { name: name.clone(), after_seq };
+            let status = match self.client.clone().watch_job(request).await {
+                Err(status) => status,
+                Ok(answer) => {
+                    let mut events = answer.into_inner();
+                    loop {
+                        match events.message().await {
+                            Err(status) => break status,
+                            Ok(None) => return Ok(()),
+                            Ok(Some(message)) => {
+                                let event = self.present(message.event)?;
+                                patience.reset();
+                                after_seq = event.seq;
+                                // Entries of a newer server that we do not know are skipped.
+                                convert::event_from_wire(event).map(&mut on);
+                            }
+                        }
+                    }
+                }
+            };
+            patience.after(status).await?;
+        }
+    }
+
+    /// The artifacts of a job.
+    pub(crate) async fn artifacts(&self, name: &str) -> Result<Vec<v1::Artifact>, Failure> {
+        let request = v1::ListArtifactsRequest { parent: job_name(name) };
+        let answer = self.call(|mut client| {
+            let request = request.clone();
+            async move { client.list_artifacts(request).await }
+        });
+        Ok(answer.await?.artifacts)
+    }
+
+    /// Fetches an artifact into `folder`: under its name only when it is whole.
+    pub(crate) async fn fetch(
+        &self,
+        artifact: &v1::Artifact,
+        folder: &Path,
+    ) -> Result<(), Failure> {
+        let file = artifact.name.rsplit('/').next().unwrap_or_default();
+        if !lookalike::jobs::blobs::is_safe_name(file) {
+            let text = format!("the server named an artifact `{}`: refused", file.escape_default());
+            return Err(Failure::new(Exit::Failed, text));
+        }
+        let (path, part) = (folder.join(file), folder.join(format!(".{file}.part")));
+        let fault = |error: std::io::Error| {
+            Failure::new(Exit::Failed, format!("{}: {error}; free some space", part.display()))
+        };
+        let mut out = tokio::fs::File::create(&part).await.map_err(fault)?;
+        let mut hasher = blake3::Hasher::new();
+        let mut patience = Patience::new(self);
+        while let Err(status) = self.read(artifact, &mut out, &mut hasher).await.map_err(fault)? {
+            patience.after(status).await?;
+        }
+        out.flush().await.map_err(fault)?;
+        if hasher.finalize().to_hex().as_str() != artifact.blake3 {
+            let text = format!("{file} arrived damaged: fetch it again with `lookalike fetch`");
+            return Err(Failure::new(Exit::Failed, text));
+        }
+        tokio::fs::rename(&part, &path).await.map_err(fault)
+    }
+
+    /// Reads on from what `hasher` has seen. The inner result is the server's.
+    async fn read(
+        &self,
+        artifact: &v1::Artifact,
+        out: &mut tokio::fs::File,
+        hasher: &mut blake3::Hasher,
+    ) -> std::io::Result<Result<(), Status>> {
+        let (name, offset) = (artifact.name.clone(), hasher.count());
+        let request = v1::ReadArtifactRequest { name, offset, limit: 0 };
+        let mut chunks = match self.client.clone().read_artifact(request).await {
+            Ok(answer) => answer.into_inner(),
+            Err(status) => return Ok(Err(status)),
+        };
+        loop {
+            match chunks.message().await {
+                Ok(Some(chunk)) => {
+                    hasher.update(&chunk.data);
+                    out.write_all(&chunk.data).await?;
+                }
+                Ok(None) => return Ok(Ok(())),
+                Err(status) => return Ok(Err(status)),
+            }
+        }
+    }
+}
+
+/// How long a server may be away.
+struct Patience<'a> {
+    remote: &'a Remote,
+    backoff: Backoff,
+    silent_since: Option<Instant>,
+}
+
+impl<'a> Patience<'a> {
+    fn new(remote: &'a Remote) -> Self {
+        Self { remote, backoff: Backoff::default(), silent_since: None }
+    }
+
+    fn reset(&mut self) {
+        self.backoff.reset();
+        self.silent_since = None;
+    }
+
+    /// Waits after a failed call, unless another one is pointless.
+    async fn after(&mut self, status: Status) -> Result<(), Failure> {
+        let since = *self.silent_since.get_or_insert_with(Instant::now);
+        if !is_transient(&status) || since.elapsed() > PATIENCE {
+            return Err(refused(&self.remote.url, &status));
+        }
+        self.backoff.pause().await;
+        Ok(())
+    }
+}
+
+/// `jobs/{id}`, also from the bare id.
+pub(crate) fn job_name(text: &str) -> String {
+    if text.starts_with("jobs/") { text.into() } else { format!("jobs/{text}") }
+}
+
+fn upload_parts(
+    header: v1::UploadMeshHeader,
+    bytes: Bytes,
+) -> impl Iterator<Item = v1::UploadMeshRequest> {
+    use v1::upload_mesh_request::Part;
+    let n_chunks = bytes.len().div_ceil(CHUNK);
+    let chunks = (0..n_chunks)
+        .map(move |i| Part::Chunk(bytes.slice(i * CHUNK..bytes.len().min((i + 1) * CHUNK))));
+    let parts = std::iter::once(Part::Header(header)).chain(chunks);
+    parts.map(|part| v1::UploadMeshRequest { part: Some(part) })
+}

@@ -1,0 +1,141 @@
+//! `lookalike serve`: wires store, gRPC, metrics and workers together, and takes them down in order.
+//!
+//! The end: workers hand their jobs back and end, then open streams are told to come back, then open
+//! calls finish; a hard deadline cuts short whatever hangs.
+
+use std::{sync::Arc, time::Duration};
+
+use anyhow::Context;
+use lookalike::{
+    jobs::Jobs,
+    service::{observe::Observer, server},
+    telemetry,
+    worker::supervisor::Crew,
+};
+use tokio_util::sync::CancellationToken;
+
+use super::{
+    exit::{Exit, Failure},
+    show, signals,
+};
+use crate::config::{ServeArgs, ServeConfig};
+
+/// Leases are looked at this often, or four times a lease if that is more often.
+const SWEEP: Duration = Duration::from_secs(1);
+/// What open calls get to finish once the workers have ended.
+const GRACE: Duration = Duration::from_secs(3);
+
+pub(crate) async fn run(args: ServeArgs) -> Result<(), Failure> {
+    let config = args.check().map_err(|faults| Failure::faults(&faults))?;
+    let page = telemetry::install_metrics().context("metrics cannot be collected")?;
+    let jobs = Jobs::open(&config.data_dir, config.terms.clone(), config.limits.clone());
+    let jobs = jobs.await.map_err(|error| Failure::new(Exit::Failed, error.to_string()))?;
+    let listener = telemetry::bind("--listen", config.listen).await.context("gRPC")?;
+    let metrics =
+        telemetry::bind("--metrics-listen", config.metrics_listen).await.context("metrics")?;
+    let address = listener.local_addr().context("gRPC")?;
+    show::print(&format!("listening on http://{address}\n"));
+    tracing::info!(%address, metrics = %config.metrics_listen, data_dir = %config.data_dir.display(), "ready");
+
+    let observer = Arc::new(Observer::new());
+    let (stop_workers, stop_serving) = (CancellationToken::new(), CancellationToken::new());
+    let refresh = refresh(jobs.clone(), Arc::clone(&observer));
+    let grpc = server::serve(listener, jobs.clone(), Arc::clone(&observer), stop_serving.clone());
+    let http = telemetry::serve_metrics(metrics, page, refresh, stop_serving.clone());
+    let crew = crew(&config, &format!("http://{address}"));
+    let workers = async {
+        crew.run(stop_workers.clone(), async |id: String| gone(&jobs, &observer, &id).await).await;
+        // A server without workers of its own has nobody to wait for.
+        stop_workers.cancelled().await;
+        stop_serving.cancel();
+        Ok(())
+    };
+    let all = async {
+        tokio::try_join!(
+            async { grpc.await.context("gRPC") },
+            async { http.await.context("metrics") },
+            workers,
+            sweep(&jobs, &observer, config.terms.lease, &stop_serving),
+        )
+    };
+    tokio::select! {
+        ended = all => { ended?; }
+        () = deadline(&stop_workers, &stop_serving) => {
+            tracing::warn!("some calls did not end in time and are cut off");
+        }
+    }
+    jobs.close().await;
+    tracing::info!("ended");
+    Ok(())
+}
+
+/// Waits for a signal, starts the end, and returns when the end takes too long: the workers have
+/// their own limit, and open calls get [`GRACE`] after that. A second signal cuts it short.
+async fn deadline(stop_workers: &CancellationToken, stop_serving: &CancellationToken) {
+    signals::asked_to_end().await;
+    tracing::info!("asked to end: workers hand their jobs back");
+    stop_workers.cancel();
+    let patience = async {
+        stop_serving.cancelled().await;
+        tokio::time::sleep(GRACE).await;
+    };
+    tokio::select! {
+        () = patience => {}
+        () = signals::asked_to_end() => {}
+    }
+}
+
+/// Takes away leases that ran out, until the end.
+async fn sweep(
+    jobs: &Jobs,
+    observer: &Observer,
+    lease: Duration,
+    stop: &CancellationToken,
+) -> anyhow::Result<()> {
+    let mut tick = tokio::time::interval(SWEEP.min(lease / 4));
+    tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    loop {
+        tokio::select! {
+            _ = tick.tick() => match jobs.sweep_leases().await {
+                Ok(lost) => observer.lost(&lost),
+                Err(error) => tracing::error!(%error, "leases cannot be checked"),
+            },
+            () = stop.cancelled() => return Ok(()),
+        }
+    }
+}
+
+async fn gone(jobs: &Jobs, observer: &Observer, worker: &str) {
+    match jobs.worker_gone(worker).await {
+        Ok(lost) => observer.lost(&lost),
+        // Its lease runs out by itself.
+        Err(error) => tracing::error!(worker, %error, "a worker's jobs cannot be taken back"),
+    }
+}
+
+fn refresh(jobs: Jobs, observer: Arc<Observer>) -> telemetry::Refresh {
+    Arc::new(move || {
+        let (jobs, observer) = (jobs.clone(), Arc::clone(&observer));
+        Box::pin(async move {
+            let counts = jobs.counts().await.map_err(|error| error.to_string())?;
+            observer.depth(&counts);
+            Ok(())
+        })
+    })
+}
+
+fn crew(config: &ServeConfig, url: &str) -> Crew {
+    // Children are started in whatever folder; their paths must not depend on it.
+    let data_dir =
+        std::path::absolute(&config.data_dir).unwrap_or_else(|_| config.data_dir.clone());
+    Crew {
+        url: url.into(),
+        device: config.device.clone(),
+        n_workers: config.n_workers,
+        locks: data_dir.join("workers"),
+        scratch: data_dir.join("scratch"),
+        runtime_dir: data_dir.join("run"),
+        log_json: config.log_json,
+        drain: config.drain,
+    }
+}

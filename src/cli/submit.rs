@@ -1,0 +1,117 @@
+//! `lookalike submit`: a whole job on a server, from a file to a folder of results.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use lookalike::{
+    jobs::spec::Spec,
+    service::{convert, proto::v1},
+};
+
+use super::{
+    bar::Bar,
+    exit::{Exit, Failure},
+    fetch::{fetch_all, make_folder},
+    job_args::JobArgs,
+    remote::{Remote, ServerArgs},
+    show, signals,
+    watch::verdict,
+};
+
+/// Flags of `lookalike submit`.
+#[derive(Args, Debug)]
+pub(crate) struct SubmitArgs {
+    /// The mesh: .glb, .gltf, .ply, .obj or .stl.
+    file: PathBuf,
+    /// Where to put the results.
+    #[arg(long, value_name = "DIR", required_unless_present = "no_wait")]
+    out: Option<PathBuf>,
+    /// Print the job's name and return at once.
+    #[arg(long)]
+    no_wait: bool,
+    /// Names this request: sending it again finds the job it made. Default: a new name.
+    #[arg(long, value_name = "ID")]
+    request_id: Option<String>,
+    #[command(flatten)]
+    job: JobArgs,
+    #[command(flatten)]
+    server: ServerArgs,
+}
+
+pub(crate) async fn run(args: SubmitArgs) -> Result<(), Failure> {
+    let spec = args.job.spec()?;
+    let bytes = read_input(&args.file)?;
+    if let Some(out) = args.out.as_deref() {
+        make_folder(out)?;
+    }
+    let remote = Remote::connect(&args.server).await?;
+    let mesh = remote.upload(bytes.into()).await?;
+    let request_id = args.request_id.unwrap_or_else(|| uuid::Uuid::new_v4().to_string());
+    let job = create(&remote, request_id, mesh, &args.file, &spec).await?;
+    if args.no_wait {
+        show::print(&format!("{}\n", job.name));
+        return Ok(());
+    }
+    wait(&remote, &job.name).await?;
+    let end = verdict(&remote, &job.name).await;
+    let keeps_results = end.as_ref().err().is_none_or(|failure| failure.exit == Exit::Cancelled);
+    if let (true, Some(out)) = (keeps_results, args.out.as_deref()) {
+        fetch_all(&remote, &job.name, out).await?;
+    }
+    end
+}
+
+/// Follows the job to its end. The first Ctrl-C cancels the job, the second one only this command.
+async fn wait(remote: &Remote, job: &str) -> Result<(), Failure> {
+    let mut bar = Bar::new();
+    bar.line(&format!("{job} created"));
+    let mut cancelled = false;
+    let end = {
+        let mut follow = std::pin::pin!(remote.follow(job, 0, |event| bar.event(&event.body)));
+        loop {
+            tokio::select! {
+                end = &mut follow => break end,
+                () = signals::asked_to_end() => {
+                    if cancelled {
+                        let text = format!("left; see `lookalike watch {job}`");
+                        break Err(Failure::new(Exit::Cancelled, text));
+                    }
+                    cancelled = true;
+                    remote.cancel(job).await?;
+                }
+            }
+        }
+    };
+    bar.finish();
+    end
+}
+
+async fn create(
+    remote: &Remote,
+    request_id: String,
+    mesh: String,
+    file: &Path,
+    spec: &Spec,
+) -> Result<v1::Job, Failure> {
+    let file_name = file_name(file);
+    let spec = Some(convert::spec_to_wire(spec));
+    let request = v1::CreateJobRequest { request_id, mesh, file_name, spec };
+    let answer = remote.call(|mut client| {
+        let request = request.clone();
+        async move { client.create_job(request).await }
+    });
+    remote.present(answer.await?.job)
+}
+
+/// The bytes of the input file.
+pub(crate) fn read_input(file: &Path) -> Result<Vec<u8>, Failure> {
+    std::fs::read(file).map_err(|error| {
+        let text = format!("{}: {error}; name a mesh file that can be read", file.display());
+        Failure::new(Exit::Usage, text)
+    })
+}
+
+/// The last part of a path.
+pub(crate) fn file_name(file: &Path) -> String {
+    file.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+}

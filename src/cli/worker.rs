@@ -1,0 +1,81 @@
+//! `lookalike worker`: a worker process.
+
+use std::{path::PathBuf, time::Duration};
+
+use clap::Args;
+use lookalike::worker::{
+    agent::{self, WorkerConfig, WorkerError},
+    pipeline::DeviceChoice,
+};
+use tokio_util::sync::CancellationToken;
+
+use super::{
+    exit::{Exit, Failure},
+    signals,
+};
+
+/// Flags of `lookalike worker`.
+#[derive(Args, Debug)]
+pub(crate) struct WorkerArgs {
+    /// The server's URL.
+    #[arg(
+        long,
+        env = "LOOKALIKE_SERVER",
+        default_value = "http://127.0.0.1:7420",
+        value_name = "URL"
+    )]
+    connect: String,
+    /// Evaluator: auto, cpu, or the name of an adapter.
+    #[arg(long, env = "LOOKALIKE_DEVICE", default_value = "auto")]
+    device: String,
+    /// Names this incarnation of the worker. Default: a new name.
+    #[arg(long)]
+    id: Option<String>,
+    /// A folder for the files of the job at work; it is emptied.
+    #[arg(long, value_name = "DIR")]
+    scratch: Option<PathBuf>,
+    /// A file to hold locked as long as this process lives.
+    #[arg(long, value_name = "FILE", hide = true)]
+    lock: Option<PathBuf>,
+    /// End when the parent process is gone and there is nothing to do.
+    #[arg(long, hide = true)]
+    supervised: bool,
+    /// End when the server does not answer for so many seconds.
+    #[arg(long, default_value_t = 60, value_name = "SECS")]
+    give_up_secs: u64,
+    /// Log in JSON, one object a line.
+    #[arg(long)]
+    pub(crate) log_json: bool,
+}
+
+pub(crate) async fn run(args: WorkerArgs) -> Result<(), Failure> {
+    let id = args.id.unwrap_or_else(|| format!("remote-{}", uuid::Uuid::new_v4().simple()));
+    let scratch =
+        args.scratch.unwrap_or_else(|| std::env::temp_dir().join(format!("lookalike-{id}")));
+    let config = WorkerConfig {
+        url: args.connect,
+        id,
+        device: DeviceChoice(args.device),
+        scratch,
+        lock: args.lock,
+        supervised: args.supervised,
+        give_up: Duration::from_secs(args.give_up_secs),
+    };
+    let drain = CancellationToken::new();
+    let mut agent = agent::run(config, drain.clone());
+    let ended = tokio::select! {
+        ended = &mut agent => ended,
+        () = signals::asked_to_end() => {
+            drain.cancel();
+            agent.await
+        }
+    };
+    ended.map_err(|error| {
+        let exit = match error {
+            WorkerError::Unreachable { .. } => Exit::Unreachable,
+            WorkerError::Url(_) => Exit::Usage,
+            _ => Exit::Failed,
+        };
+        Failure::new(exit, error.to_string())
+    })
+}

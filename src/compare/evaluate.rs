@@ -1,0 +1,231 @@
+//! How much a simplified mesh looks like its original: the papers' off-line evaluation.
+//!
+//! Invariants:
+//! 1. the cameras are those of the original's bounding sphere, for both meshes;
+//! 2. no picture here was seen by the simplification: 24 views against its 20 or fewer, and a
+//!    rasteriser of its own;
+//! 3. sums over views run in view order, so a result does not depend on threads.
+//!
+//! Source: Lindstrom & Turk 2000, section 4; views, light and material as restated there.
+
+use std::fmt::Write;
+
+use serde::{Deserialize, Serialize};
+
+use super::raster::{Appearance, Drawable, Look, Shading, pictures};
+use crate::{
+    mesh::Mesh,
+    metric::{
+        bounding_sphere,
+        image::{d2_percent, mean_square_difference},
+        surface::{SurfaceDistance, SurfaceParams, surface_distance},
+    },
+    render::view::{Projection, View, ViewParams, cameras, directions},
+};
+
+/// What to compare, and how closely.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Params {
+    /// Size, shading, material and light of the pictures.
+    pub look: Look,
+    /// Full field of view, degrees.
+    pub fov_degrees: f64,
+    /// Angle between the directions to the eye and to the light, degrees.
+    pub light_degrees: f64,
+    /// Also measure the distance between the surfaces.
+    pub surface: Option<SurfaceParams>,
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        Self { look: Look::default(), fov_degrees: 60.0, light_degrees: 10.0, surface: None }
+    }
+}
+
+/// The result of a comparison.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Comparison {
+    /// Triangles of the original.
+    pub triangles_original: usize,
+    /// Triangles of the simplified mesh.
+    pub triangles_simplified: usize,
+    /// RMS luminance difference over all pixels of all views, percent of full scale.
+    pub d2_percent: f64,
+    /// The same on a 0 to 255 scale.
+    pub d2_255: f64,
+    /// RMS luminance difference of each view, percent of full scale.
+    pub per_view: Vec<f64>,
+    /// Flat or smooth.
+    pub shading: Shading,
+    /// White or coloured.
+    pub appearance: Appearance,
+    /// Pixels along each side.
+    pub image_size: usize,
+    /// Samples along each side of a pixel.
+    pub supersampling: usize,
+    /// Distance between the surfaces, if it was asked for and both have triangles.
+    pub metro: Option<SurfaceDistance>,
+}
+
+/// An original with its pictures, to compare any number of meshes with.
+pub struct Reference<'m> {
+    original: &'m Mesh,
+    params: Params,
+    views: Vec<View>,
+    pictures: Vec<Vec<[f32; 1]>>,
+}
+
+impl<'m> Reference<'m> {
+    /// Draws the original in all 24 views; the pictures take `24 · image_size² · 4` bytes.
+    pub fn new(original: &'m Mesh, params: &Params) -> Self {
+        let views = cameras(
+            &bounding_sphere(original),
+            &ViewParams {
+                directions: directions(24).unwrap_or_default(),
+                ..view_params(params.fov_degrees, params.light_degrees)
+            },
+        );
+        let drawable = Drawable::luminance(original, &params.look);
+        let pictures = pictures(&drawable, &views, &params.look);
+        Self { original, params: params.clone(), views, pictures }
+    }
+
+    /// Compares one mesh with the original.
+    pub fn compare(&self, simplified: &Mesh) -> Comparison {
+        let look = &self.params.look;
+        let drawn = pictures(&Drawable::luminance(simplified, look), &self.views, look);
+        let mean_squares: Vec<f64> = (self.pictures.iter().zip(&drawn))
+            .map(|(a, b)| mean_square_difference(a.as_flattened(), b.as_flattened()))
+            .collect();
+        let d2 = d2_percent(&mean_squares);
+        Comparison {
+            triangles_original: self.original.faces.len(),
+            triangles_simplified: simplified.faces.len(),
+            d2_percent: d2,
+            d2_255: d2 * 2.55,
+            per_view: mean_squares.iter().map(|m| d2_percent(&[*m])).collect(),
+            shading: look.shading,
+            appearance: look.appearance,
+            image_size: look.image_size,
+            supersampling: look.supersampling,
+            metro: (self.params.surface.as_ref())
+                .and_then(|surface| surface_distance(self.original, simplified, surface)),
+        }
+    }
+}
+
+/// Compares one mesh with its original.
+pub fn compare(original: &Mesh, simplified: &Mesh, params: &Params) -> Comparison {
+    Reference::new(original, params).compare(simplified)
+}
+
+/// The comparison in words, a few lines for a terminal.
+pub fn report_text(comparison: &Comparison) -> String {
+    let c = comparison;
+    let kept = 100.0 * c.triangles_simplified as f64 / c.triangles_original.max(1) as f64;
+    let (least, most) = (c.per_view.iter())
+        .fold((f64::INFINITY, 0.0_f64), |(least, most), v| (least.min(*v), most.max(*v)));
+    let mut text = String::new();
+    // Writing to a String cannot fail.
+    let _ = writeln!(
+        text,
+        "triangles  {} -> {} ({kept:.2} %)",
+        c.triangles_original, c.triangles_simplified
+    );
+    let _ = writeln!(
+        text,
+        "image      d2 = {:.4} % of full scale ({:.4} of 255), {} views from {least:.3} to {most:.3} %",
+        c.d2_percent,
+        c.d2_255,
+        c.per_view.len(),
+    );
+    let (shading, appearance) = (lower(c.shading), lower(c.appearance));
+    let _ = writeln!(
+        text,
+        "           {size} x {size} pixels, {n} x {n} samples each, {shading} shading, {appearance}",
+        size = c.image_size,
+        n = c.supersampling,
+    );
+    if let Some(m) = &c.metro {
+        let _ = writeln!(
+            text,
+            "surface    mean {:.5} %, RMS {:.5} %, maximum {:.4} % of the bounding box's diagonal",
+            m.mean, m.rms, m.max
+        );
+    }
+    text
+}
+
+/// Camera parameters without directions.
+pub(super) fn view_params(fov_degrees: f64, light_degrees: f64) -> ViewParams {
+    let projection = Projection::Perspective;
+    ViewParams { directions: Vec::new(), fov_degrees, projection, light_degrees }
+}
+
+fn lower(name: impl std::fmt::Debug) -> String {
+    format!("{name:?}").to_lowercase()
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+
+    fn octahedron(radius: f64) -> Mesh {
+        let axes = [DVec3::X, DVec3::Y, DVec3::Z, -DVec3::X, -DVec3::Y, -DVec3::Z];
+        let faces = vec![
+            [0, 1, 2],
+            [1, 3, 2],
+            [3, 4, 2],
+            [4, 0, 2],
+            [1, 0, 5],
+            [3, 1, 5],
+            [4, 3, 5],
+            [0, 4, 5],
+        ];
+        Mesh::from_parts(axes.iter().map(|a| *a * radius).collect(), faces)
+    }
+
+    fn small() -> Params {
+        Params { look: Look { image_size: 32, ..Look::default() }, ..Params::default() }
+    }
+
+    #[test]
+    fn a_mesh_looks_exactly_like_itself_and_unlike_a_smaller_one() {
+        let original = octahedron(1.0);
+        let same = compare(&original, &original, &small());
+        assert_eq!(same.d2_percent, 0.0);
+        assert_eq!(same.per_view, vec![0.0; 24]);
+        let reference = Reference::new(&original, &small());
+        let near = reference.compare(&octahedron(0.95)).d2_percent;
+        let far = reference.compare(&octahedron(0.7)).d2_percent;
+        assert!(0.5 < near && near < far, "{near} {far}");
+    }
+
+    #[test]
+    fn the_cameras_do_not_care_for_size_or_place() {
+        let moved = |mesh: Mesh| Mesh {
+            positions: mesh.positions.iter().map(|p| *p * 1000.0 + DVec3::splat(5e3)).collect(),
+            ..mesh
+        };
+        let here = compare(&octahedron(1.0), &octahedron(0.9), &small());
+        let there = compare(&moved(octahedron(1.0)), &moved(octahedron(0.9)), &small());
+        assert!((here.d2_percent - there.d2_percent).abs() < 1e-3 * here.d2_percent);
+    }
+
+    #[test]
+    fn nothing_at_all_is_compared_with_the_background() {
+        let gone = compare(&octahedron(1.0), &Mesh::default(), &small());
+        assert!(gone.d2_percent > 10.0 && gone.metro.is_none());
+    }
+
+    #[test]
+    fn the_report_names_both_scales() {
+        let params = Params { surface: Some(SurfaceParams::default()), ..small() };
+        let text = report_text(&compare(&octahedron(1.0), &octahedron(0.9), &params));
+        for part in ["8 -> 8 (100.00 %)", "of full scale", "of 255", "24 views", "flat", "mean"] {
+            assert!(text.contains(part), "{part} in {text}");
+        }
+    }
+}

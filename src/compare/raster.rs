@@ -1,0 +1,384 @@
+//! The off-line rasteriser: anti-aliased pictures of a mesh, for judging and for showing.
+//!
+//! It draws what Lindstrom & Turk 2000, section 4, describe: a z-buffer of n × n samples a pixel
+//! (box filter), a grey background, one directional light a view, both sides of the surface lit
+//! (the normal is turned to the viewer), ambient and diffuse reflection only. It shares no code
+//! with the evaluator that drives the simplification, which it judges.
+//!
+//! Invariants:
+//! 1. a picture is a function of mesh, view and parameters alone, not of threads;
+//! 2. triangles are drawn as they are, in face order: nothing is merged, repaired or dropped;
+//! 3. pixel values are floats from 0 to 1, never rounded to 8 bits.
+//!
+//! Knows nothing of differences, sheets or files.
+
+use std::{collections::HashMap, ops::Range};
+
+use glam::DVec3;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::scan::{Band, Paint, Spot, rows_spanned};
+use crate::{
+    mesh::{Mesh, Semantic},
+    metric::image::{luminance, srgb_from_linear},
+    render::view::{Projection, View},
+};
+
+/// How a triangle's shade varies.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Shading {
+    /// One shade a triangle, from its geometric normal.
+    #[default]
+    Flat,
+    /// Gouraud: a shade a corner, from the area-weighted normals of the triangles that meet at
+    /// that position.
+    Smooth,
+}
+
+/// What the surface is made of.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Appearance {
+    /// White all over, as in the papers.
+    #[default]
+    White,
+    /// Material base colour × vertex colour.
+    Coloured,
+}
+
+/// Everything about a picture but the camera.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Look {
+    /// Pixels along each side.
+    pub image_size: usize,
+    /// Samples along each side of a pixel.
+    pub supersampling: usize,
+    /// Flat or smooth.
+    pub shading: Shading,
+    /// White or coloured.
+    pub appearance: Appearance,
+    /// Ambient light, 0 to 1; diffuse is 1 − ambient.
+    pub ambient: f64,
+    /// Background grey, 0 to 1.
+    pub background: f64,
+}
+
+impl Default for Look {
+    fn default() -> Self {
+        Self {
+            image_size: 512,
+            supersampling: 4,
+            shading: Shading::default(),
+            appearance: Appearance::default(),
+            ambient: 0.1,
+            background: 0.5,
+        }
+    }
+}
+
+/// A mesh made ready for drawing: all that does not depend on the view. `N` is 1 for luminance
+/// and 3 for red, green and blue.
+pub struct Drawable<'m, const N: usize> {
+    mesh: &'m Mesh,
+    /// Unit normal of each triangle, zero where it has none.
+    face_normals: Vec<DVec3>,
+    /// Unit normal at each vertex; empty unless the shading is smooth.
+    vertex_normals: Vec<DVec3>,
+    /// Colour of each corner; empty when the surface is white.
+    corner_colours: Vec<[[f32; N]; 3]>,
+}
+
+impl<'m> Drawable<'m, 1> {
+    /// For pictures of linear luminance, which differences are taken of.
+    pub fn luminance(mesh: &'m Mesh, look: &Look) -> Self {
+        Self::new(mesh, look, |colour| [luminance(colour)])
+    }
+}
+
+impl<'m> Drawable<'m, 3> {
+    /// For pictures to look at: surface colours are sRGB-encoded, then shaded, so that light and
+    /// background are the same greys as in the luminance pictures.
+    pub fn display(mesh: &'m Mesh, look: &Look) -> Self {
+        Self::new(mesh, look, |colour| colour.map(|c| srgb_from_linear(f64::from(c)) as f32))
+    }
+}
+
+impl<'m, const N: usize> Drawable<'m, N> {
+    fn new(mesh: &'m Mesh, look: &Look, encode: impl Fn([f32; 3]) -> [f32; N]) -> Self {
+        let area_normals = area_normals(mesh);
+        let vertex_normals = match look.shading {
+            Shading::Flat => Vec::new(),
+            Shading::Smooth => smooth_normals(mesh, &area_normals),
+        };
+        let corner_colours = match look.appearance {
+            Appearance::White => Vec::new(),
+            Appearance::Coloured => {
+                linear_colours(mesh).map(|corners| corners.map(&encode)).collect()
+            }
+        };
+        let face_normals = area_normals.into_iter().map(DVec3::normalize_or_zero).collect();
+        Self { mesh, face_normals, vertex_normals, corner_colours }
+    }
+
+    fn paints(&self, face: usize, view: &View, look: &Look) -> [Paint<N>; 3] {
+        let corners = self.mesh.faces[face].map(|v| v as usize);
+        let points = corners.map(|v| self.mesh.positions[v]);
+        let normal = self.face_normals[face];
+        let shade = |at: DVec3, shading_normal: DVec3| {
+            let to_viewer = if view.sees_front(at, normal) { 1.0 } else { -1.0 };
+            let lambert = (to_viewer * shading_normal.dot(view.to_light)).max(0.0);
+            (look.ambient + (1.0 - look.ambient) * lambert) as f32
+        };
+        let shades = if self.vertex_normals.is_empty() {
+            [shade((points[0] + points[1] + points[2]) / 3.0, normal); 3]
+        } else {
+            [0, 1, 2].map(|k| shade(points[k], self.vertex_normals[corners[k]]))
+        };
+        let colours = self.corner_colours.get(face).copied().unwrap_or([[1.0; N]; 3]);
+        [0, 1, 2].map(|k| Paint { shade: shades[k], colour: colours[k] })
+    }
+}
+
+/// Draws the mesh in each view, in parallel, one view at a time per thread: `image_size²` pixels
+/// each, row after row from the top.
+pub fn pictures<const N: usize>(
+    drawable: &Drawable<'_, N>,
+    views: &[View],
+    look: &Look,
+) -> Vec<Vec<[f32; N]>> {
+    let look = &Look {
+        image_size: look.image_size.max(1),
+        supersampling: look.supersampling.max(1),
+        ..*look
+    };
+    views.par_iter().map(|view| picture(drawable, view, look)).collect()
+}
+
+/// Pixel rows drawn at a time: half a megabyte of samples at 512² and 4 × 4.
+const BAND_PIXELS: usize = 8;
+
+fn picture<const N: usize>(drawable: &Drawable<'_, N>, view: &View, look: &Look) -> Vec<[f32; N]> {
+    let side = look.image_size * look.supersampling;
+    let spots: Vec<Spot> = drawable.mesh.positions.iter().map(|p| spot(view, *p, side)).collect();
+    let rows_of_band = BAND_PIXELS * look.supersampling;
+    let bins = Bins::new(&drawable.mesh.faces, &spots, side, rows_of_band);
+    let mut pixels = Vec::with_capacity(look.image_size * look.image_size);
+    let mut band = Band::new(side);
+    for (index, faces) in bins.bands().enumerate() {
+        let first = index * rows_of_band;
+        band.clear(first..(first + rows_of_band).min(side), look.background as f32);
+        for face in faces {
+            let corners = drawable.mesh.faces[*face as usize].map(|v| spots[v as usize]);
+            band.draw(&corners, &drawable.paints(*face as usize, view, look));
+        }
+        box_filter(&band, look, &mut pixels);
+    }
+    pixels
+}
+
+fn spot(view: &View, point: DVec3, side: usize) -> Spot {
+    let at = view.project(point);
+    let inv_w = match view.projection {
+        Projection::Perspective => 1.0 / (view.eye - point).dot(view.back),
+        Projection::Orthographic => 1.0,
+    };
+    Spot { x: at.x * side as f64, y: at.y * side as f64, z: at.depth, inv_w }
+}
+
+/// The faces that each band of rows may show, in face order.
+struct Bins {
+    /// Where each band's faces start in `faces`, and where the last ends.
+    starts: Vec<usize>,
+    faces: Vec<u32>,
+}
+
+impl Bins {
+    fn new(faces: &[[u32; 3]], spots: &[Spot], side: usize, rows_of_band: usize) -> Self {
+        let bands_of = |corners: &[u32; 3]| {
+            let rows = rows_spanned(&corners.map(|v| spots[v as usize]), side);
+            rows.start / rows_of_band..rows.end.div_ceil(rows_of_band)
+        };
+        let bands: Vec<Range<usize>> = faces.iter().map(bands_of).collect();
+        let mut starts = vec![0_usize; side.div_ceil(rows_of_band) + 1];
+        bands.iter().flat_map(Clone::clone).for_each(|band| starts[band + 1] += 1);
+        for band in 1..starts.len() {
+            starts[band] += starts[band - 1];
+        }
+        let mut binned = vec![0_u32; starts.last().copied().unwrap_or(0)];
+        let mut next = starts.clone();
+        for (face, bands) in bands.into_iter().enumerate() {
+            for band in bands {
+                binned[next[band]] = face as u32;
+                next[band] += 1;
+            }
+        }
+        Self { starts, faces: binned }
+    }
+
+    fn bands(&self) -> impl Iterator<Item = &[u32]> {
+        self.starts.windows(2).map(|at| &self.faces[at[0]..at[1]])
+    }
+}
+
+/// Appends the band's pixels, each the mean of its samples.
+fn box_filter<const N: usize>(band: &Band<N>, look: &Look, pixels: &mut Vec<[f32; N]>) {
+    let n = look.supersampling;
+    let scale = 1.0 / (n * n) as f32;
+    let mut columns = vec![[0.0_f32; N]; band.side];
+    for rows in band.values.chunks_exact(band.side * n) {
+        columns.fill([0.0; N]);
+        for row in rows.chunks_exact(band.side) {
+            let sums = columns.as_flattened_mut().iter_mut();
+            sums.zip(row.as_flattened()).for_each(|(sum, value)| *sum += value);
+        }
+        pixels.extend(columns.chunks_exact(n).map(|samples| {
+            std::array::from_fn(|c| samples.iter().map(|sample| sample[c]).sum::<f32>() * scale)
+        }));
+    }
+}
+
+/// Normals of the triangles, twice their area long.
+fn area_normals(mesh: &Mesh) -> Vec<DVec3> {
+    let normal = |corners: &[u32; 3]| {
+        let [a, b, c] = corners.map(|v| mesh.positions[v as usize]);
+        (b - a).cross(c - a)
+    };
+    mesh.faces.iter().map(normal).collect()
+}
+
+/// Area-weighted unit normals; vertices at the same position share one, so that seams between
+/// parts do not show.
+fn smooth_normals(mesh: &Mesh, area_normals: &[DVec3]) -> Vec<DVec3> {
+    let mut first_at: HashMap<[u64; 3], usize> = HashMap::with_capacity(mesh.positions.len());
+    let shared: Vec<usize> = (mesh.positions.iter().enumerate())
+        // Adding zero turns −0 into 0, which is the same position.
+        .map(|(v, p)| *first_at.entry((*p + DVec3::ZERO).to_array().map(f64::to_bits)).or_insert(v))
+        .collect();
+    let mut sums = vec![DVec3::ZERO; mesh.positions.len()];
+    for (corners, normal) in mesh.faces.iter().zip(area_normals) {
+        corners.iter().for_each(|v| sums[shared[*v as usize]] += *normal);
+    }
+    shared.into_iter().map(|v| sums[v].normalize_or_zero()).collect()
+}
+
+/// Linear RGB of every corner: base colour of the material × the first colour set.
+fn linear_colours(mesh: &Mesh) -> impl Iterator<Item = [[f32; 3]; 3]> {
+    let layer = mesh.layer(Semantic::Color(0)).filter(|layer| layer.width >= 3);
+    (0..mesh.faces.len()).map(move |face| {
+        let material = mesh.face_materials.get(face).copied().unwrap_or(0) as usize;
+        let base = mesh.materials.get(material).map_or([1.0; 4], |m| m.base_color);
+        [0, 1, 2].map(|k| {
+            let vertex = layer.map_or([1.0; 3], |layer| {
+                let at = mesh.face_wedges[face][k] as usize * layer.width;
+                [0, 1, 2].map(|c| layer.values[at + c])
+            });
+            [0, 1, 2].map(|c| base[c] * vertex[c])
+        })
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        mesh::{AttributeLayer, Material},
+        render::view::{BoundingSphere, ViewParams, camera},
+    };
+
+    fn front_view(sphere: &BoundingSphere) -> View {
+        let params = ViewParams {
+            directions: Vec::new(),
+            fov_degrees: 60.0,
+            projection: Projection::Perspective,
+            light_degrees: 0.0,
+        };
+        camera(sphere, &params, DVec3::Z, 0.0)
+    }
+
+    /// A square that faces the viewer and fills the whole picture.
+    fn wall() -> Mesh {
+        let corner = |x: f64, y: f64| DVec3::new(9.0 * x, 9.0 * y, 0.0);
+        Mesh::from_parts(
+            vec![corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0)],
+            vec![[0, 1, 2], [0, 2, 3]],
+        )
+    }
+
+    fn small() -> Look {
+        Look { image_size: 16, ..Look::default() }
+    }
+
+    fn draw(mesh: &Mesh, look: &Look) -> Vec<[f32; 1]> {
+        let unit = BoundingSphere { center: DVec3::ZERO, radius: 1.0 };
+        let drawable = Drawable::luminance(mesh, look);
+        pictures(&drawable, &[front_view(&unit)], look).remove(0)
+    }
+
+    #[test]
+    fn a_wall_lit_from_the_front_is_white_on_both_sides() {
+        let mut mesh = wall();
+        for shading in [Shading::Flat, Shading::Smooth] {
+            for _side in 0..2 {
+                let look = Look { shading, ..small() };
+                assert!(draw(&mesh, &look).iter().all(|p| (p[0] - 1.0).abs() < 1e-6));
+                mesh.faces.iter_mut().for_each(|f| f.reverse());
+            }
+        }
+    }
+
+    #[test]
+    fn an_edge_through_a_pixel_is_anti_aliased() {
+        // The wall's left half only: its border runs through the middle of the picture, moved a
+        // quarter of a pixel to the right, so that column 8 is a quarter covered.
+        let mut mesh = wall();
+        let pixel = 2.0 / (16.0 * 3.0_f64.sqrt()) * 2.0;
+        mesh.positions[1].x = pixel * 0.25;
+        mesh.positions[2].x = pixel * 0.25;
+        let row = &draw(&mesh, &small())[16 * 5..16 * 6];
+        assert_eq!(row[7], [1.0]);
+        assert!((row[8][0] - (0.25 + 0.75 * 0.5)).abs() < 1e-6, "{row:?}");
+        assert_eq!(row[9], [0.5]);
+    }
+
+    #[test]
+    fn colours_are_base_times_vertex_colour() {
+        let mut mesh = wall();
+        mesh.materials = vec![Material { base_color: [0.5, 0.5, 0.5, 1.0], ..Material::default() }];
+        mesh.face_wedges = mesh.faces.clone();
+        mesh.layers = vec![AttributeLayer {
+            semantic: Semantic::Color(0),
+            width: 4,
+            values: [0.0, 1.0, 0.0, 1.0].repeat(4),
+        }];
+        let look = Look { appearance: Appearance::Coloured, ..small() };
+        assert!(draw(&mesh, &look).iter().all(|p| (p[0] - 0.5 * 0.7152).abs() < 1e-6));
+        assert!(draw(&mesh, &small()).iter().all(|p| (p[0] - 1.0).abs() < 1e-6));
+    }
+
+    #[test]
+    fn smooth_normals_join_at_equal_positions() {
+        // Two triangles folded by a right angle along an edge that each has its own vertices for.
+        let mesh = Mesh::from_parts(
+            vec![
+                DVec3::ZERO,
+                DVec3::X,
+                DVec3::Y,
+                DVec3::new(-0.0, 0.0, 0.0),
+                DVec3::Y,
+                DVec3::new(0.0, 0.0, 1.0),
+            ],
+            vec![[0, 1, 2], [3, 4, 5]],
+        );
+        let normals = smooth_normals(&mesh, &area_normals(&mesh));
+        assert_eq!(normals[0], normals[3]);
+        assert!(normals[0].distance(DVec3::new(1.0, 0.0, 1.0).normalize_or_zero()) < 1e-12);
+        assert_eq!(normals[1], DVec3::Z);
+    }
+
+    #[test]
+    fn an_empty_mesh_leaves_the_background() {
+        assert!(draw(&Mesh::default(), &small()).iter().all(|p| p[0] == 0.5));
+    }
+}

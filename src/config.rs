@@ -1,0 +1,159 @@
+//! The configuration of a server, read once from the command line and the environment, and checked
+//! as a whole: every fault is reported at once.
+
+use std::{net::SocketAddr, path::PathBuf, time::Duration};
+
+use clap::Args;
+use lookalike::jobs::{Limits, lease::Terms};
+
+/// Flags of `lookalike serve`. Each can also be given as an environment variable.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct ServeArgs {
+    /// Where to listen for gRPC: a loopback address and a port.
+    #[arg(long, env = "LOOKALIKE_LISTEN", default_value = "127.0.0.1:7420")]
+    pub(crate) listen: SocketAddr,
+    /// Where jobs, meshes and results are kept.
+    #[arg(long, env = "LOOKALIKE_DATA_DIR", value_name = "DIR")]
+    pub(crate) data_dir: PathBuf,
+    /// Worker processes to run beside the server; 0 for none.
+    #[arg(long, env = "LOOKALIKE_WORKERS", default_value_t = 1, value_name = "N")]
+    pub(crate) workers: usize,
+    /// Evaluator of the workers: auto, cpu, or the name of an adapter.
+    #[arg(long, env = "LOOKALIKE_DEVICE", default_value = "auto")]
+    pub(crate) device: String,
+    /// Where to serve Prometheus metrics and health over HTTP.
+    #[arg(long, env = "LOOKALIKE_METRICS_LISTEN", default_value = "127.0.0.1:7421")]
+    pub(crate) metrics_listen: SocketAddr,
+    /// Seconds after which a silent worker loses its job.
+    #[arg(long, env = "LOOKALIKE_LEASE_SECS", default_value_t = 30.0, value_name = "SECS")]
+    pub(crate) lease_secs: f64,
+    /// Seconds between a worker's signs of life; at most half the lease.
+    #[arg(long, env = "LOOKALIKE_HEARTBEAT_SECS", default_value_t = 10.0, value_name = "SECS")]
+    pub(crate) heartbeat_secs: f64,
+    /// A job fails as POISONED when it lost this many attempts.
+    #[arg(long, env = "LOOKALIKE_MAX_ATTEMPTS", default_value_t = 3, value_name = "N")]
+    pub(crate) max_attempts: u32,
+    /// Jobs that may wait at once.
+    #[arg(long, env = "LOOKALIKE_MAX_QUEUED", default_value_t = 100_000, value_name = "N")]
+    pub(crate) max_queued: u64,
+    /// Largest mesh file, in MiB.
+    #[arg(long, env = "LOOKALIKE_MAX_MESH_MIB", default_value_t = 4096, value_name = "MIB")]
+    pub(crate) max_mesh_mib: u64,
+    /// Seconds that workers and open calls get to end in peace.
+    #[arg(long, env = "LOOKALIKE_DRAIN_SECS", default_value_t = 10.0, value_name = "SECS")]
+    pub(crate) drain_secs: f64,
+    /// Log in JSON, one object a line.
+    #[arg(long, env = "LOOKALIKE_LOG_JSON")]
+    pub(crate) log_json: bool,
+}
+
+/// A server's configuration, sound as a whole.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct ServeConfig {
+    pub(crate) listen: SocketAddr,
+    pub(crate) metrics_listen: SocketAddr,
+    pub(crate) data_dir: PathBuf,
+    pub(crate) n_workers: usize,
+    pub(crate) device: String,
+    pub(crate) terms: Terms,
+    pub(crate) limits: Limits,
+    pub(crate) drain: Duration,
+    pub(crate) log_json: bool,
+}
+
+const MAX_WORKERS: usize = 256;
+
+impl ServeArgs {
+    /// The configuration, or everything that is wrong with it.
+    pub(crate) fn check(self) -> Result<ServeConfig, Vec<String>> {
+        let mut faults = Vec::new();
+        for (flag, address) in
+            [("--listen", self.listen), ("--metrics-listen", self.metrics_listen)]
+        {
+            if !address.ip().is_loopback() {
+                faults.push(format!(
+                    "{flag} {address} can be reached from other machines, and access control is not \
+                     built yet: use 127.0.0.1, and an SSH tunnel or an authenticating proxy from afar"
+                ));
+            }
+        }
+        if self.workers > MAX_WORKERS {
+            faults.push(format!("--workers {}: use 0 to {MAX_WORKERS}", self.workers));
+        }
+        let lease = seconds(&mut faults, "--lease-secs", self.lease_secs);
+        let heartbeat = seconds(&mut faults, "--heartbeat-secs", self.heartbeat_secs);
+        let drain = seconds(&mut faults, "--drain-secs", self.drain_secs);
+        if heartbeat * 2 > lease {
+            let text = "a lease must outlive one missed sign of life";
+            faults.push(format!("--heartbeat-secs is more than half of --lease-secs: {text}"));
+        }
+        if self.max_attempts == 0 {
+            faults.push("--max-attempts 0: use at least 1".into());
+        }
+        if !faults.is_empty() {
+            return Err(faults);
+        }
+        Ok(ServeConfig {
+            listen: self.listen,
+            metrics_listen: self.metrics_listen,
+            data_dir: self.data_dir,
+            n_workers: self.workers,
+            device: self.device,
+            terms: Terms { lease, heartbeat, max_lost: self.max_attempts },
+            limits: Limits {
+                max_mesh_bytes: self.max_mesh_mib.saturating_mul(1 << 20),
+                max_queued: self.max_queued,
+                ..Limits::default()
+            },
+            drain,
+            log_json: self.log_json,
+        })
+    }
+}
+
+fn seconds(faults: &mut Vec<String>, flag: &str, secs: f64) -> Duration {
+    if !(0.01..=1e6).contains(&secs) {
+        faults.push(format!("{flag} {secs}: use 0.01 to 1000000 seconds"));
+        return Duration::from_secs(1);
+    }
+    Duration::from_secs_f64(secs)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Probe {
+        #[command(flatten)]
+        args: ServeArgs,
+    }
+
+    fn check(flags: &[&str]) -> Result<ServeConfig, Vec<String>> {
+        let flags = ["probe", "--data-dir", "d"].iter().chain(flags);
+        Probe::try_parse_from(flags).unwrap().args.check()
+    }
+
+    #[test]
+    fn the_defaults_are_sound() {
+        let config = check(&[]).unwrap();
+        assert_eq!(config.terms, Terms::default());
+        assert_eq!(config.limits, Limits::default());
+    }
+
+    #[test]
+    fn every_fault_is_reported_at_once() {
+        let faults = check(&[
+            "--listen=0.0.0.0:1",
+            "--metrics-listen=[::]:2",
+            "--workers=257",
+            "--lease-secs=5",
+            "--drain-secs=nan",
+            "--max-attempts=0",
+        ]);
+        let faults = faults.unwrap_err();
+        assert_eq!(faults.len(), 6, "{faults:#?}");
+        assert!(faults[0].contains("access control is not built yet"));
+    }
+}

@@ -1,0 +1,111 @@
+//! Which reader a file gets: a table of formats, each with its extensions and a test of content.
+
+use super::{IoError, gltf, obj, ply, soup::Soup, source::Source, stl};
+
+/// One row of the table.
+pub(super) struct Format {
+    pub(super) name: &'static str,
+    extensions: &'static [&'static str],
+    /// How sure the test of content is: a strong one decides against the extension.
+    strong: bool,
+    looks_like: fn(&[u8]) -> bool,
+    pub(super) read: for<'a> fn(&Source<'a>) -> Result<Soup, IoError>,
+}
+
+/// In the order in which content is tried.
+const FORMATS: [Format; 5] = [
+    Format {
+        name: "GLB",
+        extensions: &["glb"],
+        strong: true,
+        looks_like: |b| b.starts_with(b"glTF"),
+        read: gltf::read_glb,
+    },
+    Format {
+        name: "PLY",
+        extensions: &["ply"],
+        strong: true,
+        looks_like: |b| b.starts_with(b"ply\n") || b.starts_with(b"ply\r"),
+        read: ply::read,
+    },
+    Format {
+        name: "STL",
+        extensions: &["stl"],
+        strong: true,
+        looks_like: stl::looks_like,
+        read: stl::read,
+    },
+    Format {
+        name: "glTF",
+        extensions: &["gltf"],
+        strong: true,
+        looks_like: looks_like_json,
+        read: gltf::read_gltf,
+    },
+    Format {
+        name: "OBJ",
+        extensions: &["obj"],
+        strong: false,
+        looks_like: looks_like_text,
+        read: obj::read,
+    },
+];
+
+impl Format {
+    /// Whether the name ends with one of the format's extensions.
+    pub(super) fn has_extension_of(&self, file: &str) -> bool {
+        extension(file).is_some_and(|e| self.extensions.iter().any(|x| e.eq_ignore_ascii_case(x)))
+    }
+}
+
+/// The format by extension if the content agrees, else the one whose content test is sure.
+pub(super) fn detect(source: &Source<'_>) -> Result<&'static Format, IoError> {
+    static TABLE: [Format; 5] = FORMATS;
+    let named = TABLE.iter().find(|f| f.has_extension_of(source.file));
+    if let Some(format) = named.filter(|f| (f.looks_like)(source.bytes)) {
+        return Ok(format);
+    }
+    if let Some(format) = TABLE.iter().find(|f| f.strong && (f.looks_like)(source.bytes)) {
+        return Ok(format);
+    }
+    let begins = source.bytes[..source.bytes.len().min(12)].escape_ascii().to_string();
+    let problem = match named {
+        Some(f) => format!("not a {} file: it begins with '{begins}'", f.name),
+        None => format!("unknown format: it begins with '{begins}'"),
+    };
+    Err(IoError::UnknownFormat { file: source.file.to_owned(), problem })
+}
+
+fn extension(file: &str) -> Option<&str> {
+    file.rsplit(['/', '\\']).next()?.rsplit_once('.').map(|(_, e)| e)
+}
+
+fn looks_like_json(bytes: &[u8]) -> bool {
+    let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    text.iter().find(|b| !b.is_ascii_whitespace()) == Some(&b'{')
+}
+
+fn looks_like_text(bytes: &[u8]) -> bool {
+    !bytes[..bytes.len().min(4096)].contains(&0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::io::Limits;
+
+    fn name_of(file: &str, bytes: &[u8]) -> Result<&'static str, IoError> {
+        detect(&Source { file, bytes, limits: &Limits::default() }).map(|f| f.name)
+    }
+
+    #[test]
+    fn content_decides_where_it_is_sure() {
+        assert_eq!(name_of("a.b/x.GLB", b"glTF...").unwrap(), "GLB");
+        assert_eq!(name_of("x.obj", b"ply\nformat").unwrap(), "OBJ", "text may be OBJ");
+        assert_eq!(name_of("x.stl", b"ply\nformat").unwrap(), "PLY");
+        assert_eq!(name_of("x", b" {}").unwrap(), "glTF");
+        let error = name_of("x.glb", b"hello").unwrap_err();
+        assert!(error.to_string().contains("not a GLB file: it begins with 'hello'"), "{error}");
+        assert_eq!(name_of("x", b"v 0 0 0").unwrap_err().code(), "UNKNOWN_FORMAT");
+    }
+}

@@ -1,0 +1,123 @@
+//! glTF 2.0, packed (GLB) or as JSON with embedded buffers: the default scene, flattened.
+//!
+//! Every node that holds a mesh places it once, with the product of the transforms from the root.
+//! A transform that mirrors turns the triangles round, so that they stay counter-clockwise seen
+//! from outside. Skins, morph targets, animations, cameras and lights are left out with a note.
+//! Textures are not carried yet: materials keep their colour factors.
+//!
+//! The JSON is read by the schema of the `gltf` crate without its validation (which panics on
+//! some dangling indices); every index is looked up with a check instead.
+
+mod accessor;
+mod container;
+mod material;
+mod primitive;
+mod scene;
+
+use gltf::json;
+
+use super::{IoError, soup::Soup, source::Source};
+use container::Buffers;
+
+const REMEDY: &str = "export the model again and run it through the glTF validator";
+
+/// Reads the packed form.
+pub(super) fn read_glb(source: &Source<'_>) -> Result<Soup, IoError> {
+    let (json, bin) = container::split_glb(source)?;
+    read_document(source, json, bin)
+}
+
+/// Reads the JSON form.
+pub(super) fn read_gltf(source: &Source<'_>) -> Result<Soup, IoError> {
+    let json = source.bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(source.bytes);
+    read_document(source, json, None)
+}
+
+/// A parsed document and its buffers.
+struct Document<'a> {
+    source: &'a Source<'a>,
+    root: json::Root,
+    buffers: Buffers<'a>,
+}
+
+fn read_document(source: &Source<'_>, json: &[u8], bin: Option<&[u8]>) -> Result<Soup, IoError> {
+    let n_objects = json.split(|b| *b == b'{').count() as u64 - 1;
+    source.check_limit("JSON", "objects", n_objects, source.limits.max_json_objects)?;
+    let root: json::Root = json::deserialize::from_slice(json).map_err(|error| {
+        let place = format!("JSON, line {} column {}", error.line(), error.column());
+        source.malformed(place, error.to_string(), REMEDY)
+    })?;
+    let mut soup = Soup::default();
+    check_extensions(source, &root)?;
+    let buffers = Buffers::load(source, &root, bin)?;
+    let document = Document { source, root, buffers };
+    material::read_materials(&document, &mut soup);
+    for placement in scene::placements(&document)? {
+        primitive::read_mesh(&document, &mut soup, &placement)?;
+    }
+    note_what_is_left_out(&document.root, &mut soup);
+    if soup.patches.is_empty() {
+        return Err(source.no_triangles("no node of the scene places a mesh with triangles"));
+    }
+    Ok(soup)
+}
+
+/// Required extensions that change nothing here, or that are read.
+const HARMLESS: [&str; 4] =
+    ["KHR_mesh_quantization", "KHR_texture_transform", "KHR_lights_punctual", "KHR_xmp_json_ld"];
+
+/// Required extensions that are known, with what to do about them.
+const REFUSED: [(&str, &str); 5] = [
+    (
+        "KHR_draco_mesh_compression",
+        "save the model without Draco compression, for example with gltf-transform copy",
+    ),
+    (
+        "EXT_meshopt_compression",
+        "save the model without meshopt compression, for example with gltf-transform copy",
+    ),
+    ("KHR_meshopt_compression", "save the model without meshopt compression"),
+    ("KHR_texture_basisu", "save the model with PNG or JPEG textures instead of KTX2"),
+    ("EXT_mesh_gpu_instancing", "save the model with one node per instance"),
+];
+
+fn check_extensions(source: &Source<'_>, root: &json::Root) -> Result<(), IoError> {
+    let is_harmless = |name: &str| HARMLESS.contains(&name) || name.starts_with("KHR_materials_");
+    let Some(name) = root.extensions_required.iter().find(|n| !is_harmless(n)) else {
+        return Ok(());
+    };
+    let known = REFUSED.iter().find(|(n, _)| n == name);
+    let remedy = known.map_or("save the model without this extension", |(_, remedy)| remedy);
+    let shown: String = name.chars().take(64).collect();
+    Err(source.unsupported(format!("the required extension {shown}"), remedy))
+}
+
+fn note_what_is_left_out(root: &json::Root, soup: &mut Soup) {
+    let rows = [
+        (
+            root.animations.len(),
+            "animations_ignored",
+            "animations are ignored: the rest pose is read",
+        ),
+        (root.skins.len(), "skins_ignored", "skins are ignored: the bind pose is read"),
+        (root.cameras.len(), "cameras_ignored", "cameras are ignored"),
+    ];
+    for (n, code, text) in rows {
+        if n > 0 {
+            soup.notes.add(code, text);
+        }
+    }
+    let used = [
+        ("EXT_mesh_gpu_instancing", "instancing_ignored", "each node is placed once"),
+        (
+            "KHR_materials_pbrSpecularGlossiness",
+            "specular_glossiness_ignored",
+            "its colours are not read, those of the fallback material are",
+        ),
+    ];
+    for (extension, code, text) in used {
+        if root.extensions_used.iter().any(|n| n == extension) {
+            soup.notes.add(code, format!("{extension}: {text}"));
+        }
+    }
+}

@@ -1,0 +1,239 @@
+//! Primitives: attributes and triangles of a placed mesh, in world space.
+
+use glam::{DMat3, DMat4, DVec3};
+use gltf::json::{
+    accessor::Type,
+    mesh::{Mode, Primitive, Semantic as JsonSemantic},
+    validation::Checked,
+};
+
+use super::{
+    super::soup::{Attribute, Patch, PatchMaterials, defaults_of},
+    Document, IoError, REMEDY, Soup,
+    material::default_material,
+    scene::Placement,
+};
+use crate::mesh::Semantic;
+
+/// Attribute sets with a higher number are left out with a note.
+const MAX_SETS: u32 = 8;
+
+/// Reads all primitives of the placed mesh.
+pub(super) fn read_mesh(
+    document: &Document<'_>,
+    soup: &mut Soup,
+    placement: &Placement,
+) -> Result<(), IoError> {
+    let Some(mesh) = document.root.meshes.get(placement.mesh) else {
+        let place = format!("node {}", placement.node);
+        let n = document.root.meshes.len() as u64;
+        return Err(document.source.out_of_range(place, "meshes", placement.mesh as i64, n));
+    };
+    soup.n_instances += 1;
+    let name: String = mesh.name.iter().flat_map(|n| n.chars()).take(64).collect();
+    for (i, primitive) in mesh.primitives.iter().enumerate() {
+        let place = format!("mesh {} '{name}', primitive {i}", placement.mesh);
+        if primitive.targets.as_ref().is_some_and(|t| !t.is_empty()) {
+            soup.notes.add("morph_targets_ignored", "morph targets are ignored");
+        }
+        read_primitive(document, soup, placement, primitive, place)?;
+    }
+    Ok(())
+}
+
+fn read_primitive(
+    document: &Document<'_>,
+    soup: &mut Soup,
+    placement: &Placement,
+    primitive: &Primitive,
+    place: String,
+) -> Result<(), IoError> {
+    let Checked::Valid(mode) = primitive.mode else {
+        return Err(document.source.malformed(place, "unknown primitive mode", REMEDY));
+    };
+    let Some(split) = Split::of(mode) else {
+        soup.notes.add("points_and_lines_ignored", "points and lines are ignored");
+        return Ok(());
+    };
+    let key = Checked::Valid(JsonSemantic::Positions);
+    let Some(positions) = primitive.attributes.get(&key) else {
+        soup.notes.add("primitive_without_positions", "primitives without positions are ignored");
+        return Ok(());
+    };
+    let position_place = format!("{place}, POSITION");
+    let view = document.accessor(positions.value(), &[Type::Vec3], &position_place)?;
+    let indices = match primitive.indices {
+        Some(i) => {
+            Some(document.accessor(i.value(), &[Type::Scalar], &format!("{place}, indices"))?)
+        }
+        None => None,
+    };
+    let n_points = view.count;
+    let n_corners = indices.as_ref().map_or(n_points, |v| v.count);
+    // Claimed before anything of that size is allocated.
+    soup.claim(document.source, &place, n_points, (split.count)(n_corners))?;
+    let corners = match indices {
+        Some(view) => document.indices(&view, &format!("{place}, indices"))?,
+        None => (0..n_points as u32).collect(),
+    };
+    let positions = document.floats(&view, false, &position_place)?;
+    let mut patch = Patch {
+        positions: positions
+            .as_chunks::<3>()
+            .0
+            .iter()
+            .map(|p| place_point(placement, *p))
+            .collect(),
+        triangles: (split.triangles)(&corners),
+        attributes: read_attributes(document, soup, primitive, n_points, &place)?,
+        materials: PatchMaterials::All(match primitive.material {
+            Some(material) => check_material(document, material.value(), &place)?,
+            None => default_material(document, soup),
+        }),
+        place,
+    };
+    transform_attributes(&mut patch, &placement.world_from_mesh);
+    soup.push(document.source, patch)
+}
+
+fn place_point(placement: &Placement, p: [f32; 3]) -> DVec3 {
+    placement.world_from_mesh.transform_point3(DVec3::from_array(p.map(f64::from)))
+}
+
+fn check_material(document: &Document<'_>, index: usize, place: &str) -> Result<u32, IoError> {
+    let n = document.root.materials.len();
+    if index < n {
+        return Ok(index as u32);
+    }
+    Err(document.source.out_of_range(place, "materials", index as i64, n as u64))
+}
+
+/// How the corners of a primitive make triangles.
+struct Split {
+    count: fn(u64) -> u64,
+    triangles: fn(&[u32]) -> Vec<[u32; 3]>,
+}
+
+impl Split {
+    /// `None` for points and lines.
+    fn of(mode: Mode) -> Option<Self> {
+        let strip_count: fn(u64) -> u64 = |n| n.saturating_sub(2);
+        match mode {
+            Mode::Triangles => Some(Self { count: |n| n / 3, triangles: split_list }),
+            Mode::TriangleStrip => Some(Self { count: strip_count, triangles: split_strip }),
+            Mode::TriangleFan => Some(Self { count: strip_count, triangles: split_fan }),
+            _ => None,
+        }
+    }
+}
+
+fn split_list(corners: &[u32]) -> Vec<[u32; 3]> {
+    corners.as_chunks::<3>().0.to_vec()
+}
+
+/// Every second triangle is turned (glTF 2.0 §3.7.2.1).
+fn split_strip(corners: &[u32]) -> Vec<[u32; 3]> {
+    let turn = |(i, t): (usize, &[u32])| match i % 2 {
+        0 => [t[0], t[1], t[2]],
+        _ => [t[0], t[2], t[1]],
+    };
+    corners.windows(3).enumerate().map(turn).collect()
+}
+
+fn split_fan(corners: &[u32]) -> Vec<[u32; 3]> {
+    let Some((first, rest)) = corners.split_first() else { return Vec::new() };
+    rest.windows(2).map(|pair| [pair[0], pair[1], *first]).collect()
+}
+
+fn read_attributes(
+    document: &Document<'_>,
+    soup: &mut Soup,
+    primitive: &Primitive,
+    n_points: u64,
+    place: &str,
+) -> Result<Vec<Attribute>, IoError> {
+    let mut attributes = Vec::new();
+    for (name, index) in &primitive.attributes {
+        let Checked::Valid(name) = name else {
+            soup.notes.add("attribute_ignored", "vertex attributes of unknown name are ignored");
+            continue;
+        };
+        let Some((semantic, types)) = meaning_of(name, soup) else { continue };
+        let place = format!("{place}, {name:?}");
+        let view = document.accessor(index.value(), types, &place)?;
+        if view.count != n_points {
+            let problem = format!("{} values for {n_points} positions", view.count);
+            return Err(document.source.malformed(place, problem, REMEDY));
+        }
+        // Integer colours are normalized even where the file forgets to say so.
+        let is_color = matches!(semantic, Semantic::Color(_));
+        let mut values = document.floats(&view, is_color, &place)?;
+        if view.width < defaults_of(semantic).len() {
+            values =
+                values.as_chunks::<3>().0.iter().flat_map(|c| [c[0], c[1], c[2], 1.0]).collect();
+        }
+        attributes.push(Attribute { semantic, values });
+    }
+    Ok(attributes)
+}
+
+/// What is read, with the types it may have; notes what is not.
+fn meaning_of(name: &JsonSemantic, soup: &mut Soup) -> Option<(Semantic, &'static [Type])> {
+    match name {
+        JsonSemantic::Positions => None,
+        JsonSemantic::Normals => Some((Semantic::Normal, &[Type::Vec3])),
+        JsonSemantic::Tangents => Some((Semantic::Tangent, &[Type::Vec4])),
+        JsonSemantic::TexCoords(n) if *n < MAX_SETS => {
+            Some((Semantic::TexCoord(*n), &[Type::Vec2]))
+        }
+        JsonSemantic::Colors(n) if *n < MAX_SETS => {
+            Some((Semantic::Color(*n), &[Type::Vec3, Type::Vec4]))
+        }
+        JsonSemantic::Joints(_) | JsonSemantic::Weights(_) => {
+            soup.notes.add("skins_ignored", "skins are ignored: the bind pose is read");
+            None
+        }
+        other => {
+            let shown: String = format!("{other:?}").chars().take(64).collect();
+            soup.notes.add("attribute_ignored", format!("vertex attribute {shown} is ignored"));
+            None
+        }
+    }
+}
+
+/// Carries normals and tangents into world space and turns triangles that a mirror turned.
+fn transform_attributes(patch: &mut Patch, world_from_mesh: &DMat4) {
+    let linear = DMat3::from_mat4(*world_from_mesh);
+    let is_mirror = linear.determinant() < 0.0;
+    if is_mirror {
+        patch.triangles.iter_mut().for_each(|t| t.swap(1, 2));
+    }
+    if linear == DMat3::IDENTITY {
+        return;
+    }
+    let normal_matrix = cofactors(&linear) * if is_mirror { -1.0 } else { 1.0 };
+    for attribute in &mut patch.attributes {
+        match attribute.semantic {
+            Semantic::Normal => attribute.values.as_chunks_mut().0.iter_mut().for_each(|n| {
+                *n = turn(&normal_matrix, *n);
+            }),
+            Semantic::Tangent => attribute.values.as_chunks_mut().0.iter_mut().for_each(|t| {
+                let [x, y, z, w] = *t;
+                let [x, y, z] = turn(&linear, [x, y, z]);
+                *t = [x, y, z, if is_mirror { -w } else { w }];
+            }),
+            _ => {}
+        }
+    }
+}
+
+/// `det(m)` times the inverse transpose of `m`; defined for singular matrices too.
+fn cofactors(m: &DMat3) -> DMat3 {
+    DMat3::from_cols(m.y_axis.cross(m.z_axis), m.z_axis.cross(m.x_axis), m.x_axis.cross(m.y_axis))
+}
+
+/// A direction after a linear map, at length 1 (zero stays zero).
+fn turn(matrix: &DMat3, v: [f32; 3]) -> [f32; 3] {
+    let turned = *matrix * DVec3::from_array(v.map(f64::from));
+    turned.normalize_or_zero().as_vec3().to_array()
+}

@@ -1,0 +1,80 @@
+//! The node tree: which mesh stands where.
+
+use glam::{DMat4, DQuat, DVec3, Quat, Vec3};
+use gltf::json::{Index, Node};
+
+use super::{Document, IoError, REMEDY};
+
+/// A mesh as a node places it.
+pub(super) struct Placement {
+    pub(super) node: usize,
+    pub(super) mesh: usize,
+    pub(super) world_from_mesh: DMat4,
+}
+
+/// Depth first, in the order of the file. Nodes form trees: one that is reached twice is an error,
+/// which also ends cycles.
+pub(super) fn placements(document: &Document<'_>) -> Result<Vec<Placement>, IoError> {
+    let nodes = &document.root.nodes;
+    let mut is_seen = vec![false; nodes.len()];
+    let mut placements = Vec::new();
+    let mut stack: Vec<(usize, DMat4)> =
+        roots(document)?.into_iter().rev().map(|root| (root, DMat4::IDENTITY)).collect();
+    while let Some((index, world_from_parent)) = stack.pop() {
+        let place = || format!("node {index}");
+        let Some(node) = nodes.get(index) else {
+            let n = nodes.len() as u64;
+            return Err(document.source.out_of_range("scene", "nodes", index as i64, n));
+        };
+        if std::mem::replace(&mut is_seen[index], true) {
+            let problem = "it is reached twice: it has two parents or contains itself";
+            return Err(document.source.malformed(place(), problem, REMEDY));
+        }
+        let world_from_node = world_from_parent * parent_from_node(node);
+        if let Some(mesh) = node.mesh {
+            let (mesh, world_from_mesh) = (mesh.value(), world_from_node);
+            placements.push(Placement { node: index, mesh, world_from_mesh });
+        }
+        let children = node.children.iter().flatten().rev();
+        stack.extend(children.map(|child| (child.value(), world_from_node)));
+    }
+    Ok(placements)
+}
+
+/// The roots of the default scene (or the first); of a file without scenes, the nodes that are
+/// nobody's children.
+fn roots(document: &Document<'_>) -> Result<Vec<usize>, IoError> {
+    let root = &document.root;
+    let scene = root.scene.map_or(0, |s| s.value());
+    if let Some(scene) = root.scenes.get(scene) {
+        return Ok(scene.nodes.iter().map(Index::value).collect());
+    }
+    if root.scene.is_some() {
+        let n = root.scenes.len() as u64;
+        return Err(document.source.out_of_range("scene", "scenes", scene as i64, n));
+    }
+    let mut is_child = vec![false; root.nodes.len()];
+    for child in root.nodes.iter().flat_map(|n| n.children.iter().flatten()) {
+        if let Some(flag) = is_child.get_mut(child.value()) {
+            *flag = true;
+        }
+    }
+    Ok((0..root.nodes.len()).filter(|i| !is_child[*i]).collect())
+}
+
+fn parent_from_node(node: &Node) -> DMat4 {
+    if let Some(matrix) = node.matrix {
+        return DMat4::from_cols_array(&matrix.map(f64::from));
+    }
+    let rotation = node.rotation.map_or(DQuat::IDENTITY, |q| Quat::from_array(q.0).as_dquat());
+    let length = rotation.length();
+    let rotation = if length > 0.0 && length.is_finite() {
+        // Written in single precision, so its length is off by a little.
+        if length == 1.0 { rotation } else { rotation / length }
+    } else {
+        DQuat::IDENTITY
+    };
+    let scale = node.scale.map_or(DVec3::ONE, |s| Vec3::from_array(s).as_dvec3());
+    let shift = node.translation.map_or(DVec3::ZERO, |t| Vec3::from_array(t).as_dvec3());
+    DMat4::from_scale_rotation_translation(scale, rotation, shift)
+}

@@ -1,0 +1,347 @@
+//! PLY: ASCII, binary little and big endian.
+//!
+//! Read: positions, normals, texture coordinates and colours of the `vertex` element, polygons of
+//! the `face` element (split into fans from their first corner) and Stanford's `tristrips`.
+//! Other elements and properties are passed over; vertex properties are named in a note. Integer
+//! colours are taken as sRGB, as Blender takes them, floating-point colours as linear.
+
+mod body;
+mod header;
+
+use glam::DVec3;
+
+use super::{
+    IoError,
+    soup::{Attribute, Patch, Soup, defaults_of},
+    source::Source,
+};
+use crate::mesh::Semantic;
+use body::{AsciiValues, BinaryValues, Values};
+use header::{Element, Encoding, Header, Kind, Property};
+
+const REMEDY: &str = "export the model again, as binary PLY if possible";
+/// The values of a vertex that are read, as places in a row.
+const ROW: usize = 12;
+
+/// Where a vertex property goes in the row of values that are read.
+const SLOTS: [(&str, usize); 22] = [
+    ("x", 0),
+    ("y", 1),
+    ("z", 2),
+    ("nx", 3),
+    ("ny", 4),
+    ("nz", 5),
+    ("s", 6),
+    ("t", 7),
+    ("u", 6),
+    ("v", 7),
+    ("texture_u", 6),
+    ("texture_v", 7),
+    ("texture_s", 6),
+    ("texture_t", 7),
+    ("red", 8),
+    ("green", 9),
+    ("blue", 10),
+    ("alpha", 11),
+    ("diffuse_red", 8),
+    ("diffuse_green", 9),
+    ("diffuse_blue", 10),
+    ("diffuse_alpha", 11),
+];
+
+/// Reads any encoding.
+pub(super) fn read(source: &Source<'_>) -> Result<Soup, IoError> {
+    let header = header::parse(source)?;
+    let rest = &source.bytes[header.body_offset..];
+    match header.encoding {
+        Encoding::Ascii => Body::new(source, AsciiValues::new(rest, header.n_lines)).read(&header),
+        Encoding::Little => Body::new(source, BinaryValues::<false>::new(rest)).read(&header),
+        Encoding::Big => Body::new(source, BinaryValues::<true>::new(rest)).read(&header),
+    }
+}
+
+struct Body<'a, V> {
+    source: &'a Source<'a>,
+    values: V,
+    soup: Soup,
+    patch: Patch,
+    n_vertices: u64,
+}
+
+impl<'a, V: Values> Body<'a, V> {
+    fn new(source: &'a Source<'a>, values: V) -> Self {
+        let patch = Patch { place: "element vertex".to_owned(), ..Patch::default() };
+        let soup = Soup::of_one_instance();
+        Self { source, values, soup, patch, n_vertices: 0 }
+    }
+
+    fn read(mut self, header: &Header) -> Result<Soup, IoError> {
+        let vertex = header.elements.iter().find(|e| e.name == "vertex");
+        self.n_vertices = vertex.map_or(0, |e| e.count);
+        let n_lists =
+            header.elements.iter().filter(|e| e.name == "face" || e.name == "tristrips").count();
+        if n_lists == 0 {
+            let reason = "the header has no element 'face' (a point cloud?)";
+            return Err(self.source.no_triangles(reason));
+        }
+        for element in &header.elements {
+            self.check_length(element)?;
+            match element.name.as_str() {
+                "vertex" => self.read_vertices(element)?,
+                "face" => self.read_lists(element, add_fan)?,
+                "tristrips" => self.read_lists(element, add_strips)?,
+                _ => self.skip(element)?,
+            }
+        }
+        self.soup.push(self.source, self.patch)?;
+        Ok(self.soup)
+    }
+
+    /// Refuses a count that the bytes left cannot hold, before anything is allocated for it.
+    fn check_length(&self, element: &Element) -> Result<(), IoError> {
+        let per_row: u64 = element.properties.iter().map(|p| V::min_bytes(p.kind)).sum();
+        // The last value of an ASCII file needs no separator.
+        let need = element.count.saturating_mul(per_row).saturating_sub(1);
+        let have = self.values.n_left();
+        if need > have {
+            let place = format!("element {} with {} rows", element.name, element.count);
+            return Err(self.source.truncated(place, need, have));
+        }
+        Ok(())
+    }
+
+    fn read_vertices(&mut self, element: &Element) -> Result<(), IoError> {
+        let slots = self.slots_of(element);
+        self.soup.claim(self.source, "element vertex", element.count, 0)?;
+        if element.properties.is_empty() {
+            return Ok(());
+        }
+        let mut columns = Columns::new(&slots, element);
+        for row in 0..element.count {
+            let mut values = [0.0; ROW];
+            values[11] = columns.alpha_default();
+            for (property, slot) in element.properties.iter().zip(&slots) {
+                let value = self.value(property, element, row)?;
+                if let (Some(value), Some(slot)) = (value, slot) {
+                    values[*slot] = value;
+                }
+            }
+            self.patch.positions.push(DVec3::new(values[0], values[1], values[2]));
+            columns.push(&values);
+        }
+        self.patch.attributes = columns.attributes;
+        Ok(())
+    }
+
+    /// Where each property goes; notes the names of those that go nowhere.
+    fn slots_of(&mut self, element: &Element) -> Vec<Option<usize>> {
+        let slot_of = |p: &Property| match p.kind {
+            Kind::Scalar(_) => SLOTS.iter().find(|(name, _)| *name == p.name).map(|(_, s)| *s),
+            Kind::List { .. } => None,
+        };
+        let slots: Vec<_> = element.properties.iter().map(slot_of).collect();
+        for (property, _) in element.properties.iter().zip(&slots).filter(|(_, s)| s.is_none()) {
+            let text = format!("vertex property '{}' is not carried", property.name);
+            self.soup.notes.add("property_ignored", text);
+        }
+        slots
+    }
+
+    /// The value of a scalar property; passes over a list.
+    fn value(
+        &mut self,
+        property: &Property,
+        element: &Element,
+        row: u64,
+    ) -> Result<Option<f64>, IoError> {
+        match property.kind {
+            Kind::Scalar(scalar) => match self.values.next(scalar) {
+                Some(value) => Ok(Some(value)),
+                None => Err(self.bad_value(element, row)),
+            },
+            Kind::List { count, item } => {
+                for _ in 0..self.list_length(count, element, row)? {
+                    self.values.next(item).ok_or_else(|| self.bad_value(element, row))?;
+                }
+                Ok(None)
+            }
+        }
+    }
+
+    fn list_length(
+        &mut self,
+        count: header::Scalar,
+        element: &Element,
+        row: u64,
+    ) -> Result<u64, IoError> {
+        let n = self.values.next(count).ok_or_else(|| self.bad_value(element, row))?;
+        // Each item takes at least one byte, so a length beyond the file cannot be right.
+        if n < 0.0 || n.fract() != 0.0 || n > self.values.n_left() as f64 {
+            let problem = format!("a list of {n} items with {} bytes left", self.values.n_left());
+            return Err(self.source.malformed(self.place(element, row), problem, REMEDY));
+        }
+        Ok(n as u64)
+    }
+
+    /// Rows of polygons or strips, which `add` turns into triangles.
+    fn read_lists(
+        &mut self,
+        element: &Element,
+        add: fn(&[i64], &mut Vec<[i64; 3]>),
+    ) -> Result<(), IoError> {
+        let is_indices =
+            |p: &Property| matches!(p.name.as_str(), "vertex_indices" | "vertex_index");
+        if !element.properties.iter().any(|p| is_indices(p) && matches!(p.kind, Kind::List { .. }))
+        {
+            let problem = "no list property 'vertex_indices'";
+            return Err(self.source.malformed(self.place(element, 0), problem, REMEDY));
+        }
+        let (mut list, mut triangles) = (Vec::new(), Vec::new());
+        for row in 0..element.count {
+            triangles.clear();
+            for property in &element.properties {
+                let Kind::List { count, item } = property.kind else {
+                    self.value(property, element, row)?;
+                    continue;
+                };
+                if !is_indices(property) {
+                    self.value(property, element, row)?;
+                    continue;
+                }
+                list.clear();
+                for _ in 0..self.list_length(count, element, row)? {
+                    let index = self.values.next(item);
+                    list.push(index.ok_or_else(|| self.bad_value(element, row))? as i64);
+                }
+                add(&list, &mut triangles);
+            }
+            self.take(&triangles, element, row)?;
+        }
+        Ok(())
+    }
+
+    fn take(&mut self, triangles: &[[i64; 3]], element: &Element, row: u64) -> Result<(), IoError> {
+        self.soup.claim(self.source, "element face", 0, triangles.len() as u64)?;
+        for triangle in triangles {
+            if let Some(&index) =
+                triangle.iter().find(|i| !(0..self.n_vertices as i64).contains(*i))
+            {
+                let place = self.place(element, row);
+                return Err(self.source.out_of_range(place, "vertices", index, self.n_vertices));
+            }
+            self.patch.triangles.push(triangle.map(|i| i as u32));
+        }
+        Ok(())
+    }
+
+    fn skip(&mut self, element: &Element) -> Result<(), IoError> {
+        if element.properties.is_empty() {
+            return Ok(());
+        }
+        self.soup.notes.add("element_ignored", format!("element '{}' is not read", element.name));
+        for row in 0..element.count {
+            for property in &element.properties {
+                self.value(property, element, row)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn place(&self, element: &Element, row: u64) -> String {
+        match self.values.line() {
+            Some(line) => format!("line {line} (element {}, row {row})", element.name),
+            None => format!("element {}, row {row}", element.name),
+        }
+    }
+
+    fn bad_value(&self, element: &Element, row: u64) -> IoError {
+        let place = self.place(element, row);
+        if self.values.n_left() == 0 || self.values.line().is_none() {
+            return self.source.truncated(place, 1, 0);
+        }
+        self.source.malformed(place, "cannot read a number", REMEDY)
+    }
+}
+
+fn add_fan(list: &[i64], triangles: &mut Vec<[i64; 3]>) {
+    if let Some((first, rest)) = list.split_first() {
+        triangles.extend(rest.windows(2).map(|pair| [*first, pair[0], pair[1]]));
+    }
+}
+
+/// Strips are separated by −1; every second triangle is turned.
+fn add_strips(list: &[i64], triangles: &mut Vec<[i64; 3]>) {
+    for strip in list.split(|i| *i == -1) {
+        triangles.extend(strip.windows(3).enumerate().map(|(i, t)| match i % 2 {
+            0 => [t[0], t[1], t[2]],
+            _ => [t[1], t[0], t[2]],
+        }));
+    }
+}
+
+/// The attribute layers that the header promises, filled row by row.
+struct Columns {
+    attributes: Vec<Attribute>,
+    /// First value in the row, of each attribute.
+    starts: Vec<usize>,
+    /// Divisor of integer colours; `None` for linear floating-point ones.
+    color_full_scale: Option<f64>,
+}
+
+impl Columns {
+    const LAYERS: [(Semantic, usize); 3] =
+        [(Semantic::Normal, 3), (Semantic::TexCoord(0), 6), (Semantic::Color(0), 8)];
+
+    fn new(slots: &[Option<usize>], element: &Element) -> Self {
+        // A layer counts as there when its first value is.
+        let has = |slot: usize| slots.contains(&Some(slot));
+        let layers = Self::LAYERS.iter().filter(|(_, start)| has(*start));
+        let red = slots.iter().position(|s| *s == Some(8));
+        let red = red.and_then(|i| element.properties.get(i)).map(|p| p.kind);
+        let color_full_scale = match red {
+            Some(Kind::Scalar(scalar)) => scalar.full_scale(),
+            _ => None,
+        };
+        Self {
+            starts: layers.clone().map(|(_, start)| *start).collect(),
+            attributes: layers
+                .map(|(semantic, _)| Attribute { semantic: *semantic, values: Vec::new() })
+                .collect(),
+            color_full_scale,
+        }
+    }
+
+    fn alpha_default(&self) -> f64 {
+        self.color_full_scale.unwrap_or(1.0)
+    }
+
+    fn push(&mut self, row: &[f64; ROW]) {
+        for (attribute, start) in self.attributes.iter_mut().zip(&self.starts) {
+            let width = defaults_of(attribute.semantic).len();
+            let values = row[*start..*start + width].iter().map(|v| *v as f32);
+            match (attribute.semantic, self.color_full_scale) {
+                // PLY counts v upwards, the mesh downwards as glTF does.
+                (Semantic::TexCoord(_), _) => {
+                    attribute.values.extend([row[*start] as f32, (1.0 - row[*start + 1]) as f32]);
+                }
+                (Semantic::Color(_), Some(scale)) => {
+                    attribute.values.extend(values.enumerate().map(|(k, v)| match k {
+                        3 => v / scale as f32,
+                        _ => linear_from_srgb(v / scale as f32),
+                    }));
+                }
+                _ => attribute.values.extend(values),
+            }
+        }
+    }
+}
+
+/// The transfer function of IEC 61966-2-1, from display values in 0..=1 to linear light.
+pub(super) fn linear_from_srgb(c: f32) -> f32 {
+    if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
+}
+
+/// Its inverse.
+pub(super) fn srgb_from_linear(c: f32) -> f32 {
+    if c <= 0.003_130_8 { c * 12.92 } else { 1.055 * c.powf(1.0 / 2.4) - 0.055 }
+}

@@ -1,0 +1,140 @@
+//! What every reader produces: patches of indexed triangles, in world space, not yet joined.
+//!
+//! Invariants of a [`Soup`], established by [`Soup::push`]:
+//! 1. every triangle index is below its patch's number of points;
+//! 2. the points that triangles use are finite;
+//! 3. each attribute has `width` values for every point;
+//! 4. counts are within the limits.
+
+use glam::DVec3;
+
+use super::{IoError, report::Note, source::Source};
+use crate::mesh::{Material, Semantic};
+
+/// A primitive as placed, or all faces of a file without primitives.
+#[derive(Debug, Default)]
+pub(super) struct Patch {
+    /// Where in the file, for errors.
+    pub(super) place: String,
+    pub(super) positions: Vec<DVec3>,
+    pub(super) triangles: Vec<[u32; 3]>,
+    pub(super) attributes: Vec<Attribute>,
+    pub(super) materials: PatchMaterials,
+}
+
+/// Which material the triangles of a patch have.
+#[derive(Debug)]
+pub(super) enum PatchMaterials {
+    /// The same one.
+    All(u32),
+    /// One index per triangle.
+    Each(Vec<u32>),
+}
+
+impl Default for PatchMaterials {
+    fn default() -> Self {
+        Self::All(0)
+    }
+}
+
+/// `width` values for each point.
+#[derive(Debug)]
+pub(super) struct Attribute {
+    pub(super) semantic: Semantic,
+    pub(super) values: Vec<f32>,
+}
+
+/// Values per point, and what a point without the attribute gets.
+pub(super) fn defaults_of(semantic: Semantic) -> &'static [f32] {
+    match semantic {
+        Semantic::Normal => &[0.0, 0.0, 0.0],
+        Semantic::Tangent => &[0.0, 0.0, 0.0, 1.0],
+        Semantic::TexCoord(_) => &[0.0, 0.0],
+        Semantic::Color(_) => &[1.0, 1.0, 1.0, 1.0],
+        Semantic::Custom(_) => &[0.0],
+    }
+}
+
+/// All that a file holds.
+#[derive(Debug, Default)]
+pub(super) struct Soup {
+    pub(super) patches: Vec<Patch>,
+    pub(super) materials: Vec<Material>,
+    pub(super) notes: Notes,
+    /// Meshes placed by nodes; 1 where the format has no nodes.
+    pub(super) n_instances: u64,
+    n_points: u64,
+    n_triangles: u64,
+}
+
+impl Soup {
+    /// For formats without nodes.
+    pub(super) fn of_one_instance() -> Self {
+        Self { n_instances: 1, ..Self::default() }
+    }
+
+    /// Counts points and triangles that are about to be read against the limits.
+    pub(super) fn claim(
+        &mut self,
+        source: &Source<'_>,
+        place: &str,
+        n_points: u64,
+        n_triangles: u64,
+    ) -> Result<(), IoError> {
+        self.n_points = self.n_points.saturating_add(n_points);
+        self.n_triangles = self.n_triangles.saturating_add(n_triangles);
+        source.check_limit(place, "vertices", self.n_points, source.limits.max_vertices)?;
+        source.check_limit(place, "triangles", self.n_triangles, source.limits.max_triangles)
+    }
+
+    /// Vertices as the file stores them, instances placed.
+    pub(super) fn n_points(&self) -> u64 {
+        self.n_points
+    }
+
+    /// Takes a patch after checking invariants 1 and 2.
+    pub(super) fn push(&mut self, source: &Source<'_>, patch: Patch) -> Result<(), IoError> {
+        let n = patch.positions.len();
+        for (t, triangle) in patch.triangles.iter().enumerate() {
+            for &v in triangle {
+                let Some(&p) = patch.positions.get(v as usize) else {
+                    let place = format!("{}: triangle {t}", patch.place);
+                    return Err(source.out_of_range(place, "vertices", v.into(), n as u64));
+                };
+                if !p.is_finite() {
+                    return Err(IoError::NonFinite {
+                        file: source.file.to_owned(),
+                        place: patch.place,
+                        vertex: v.into(),
+                        x: p.x,
+                        y: p.y,
+                        z: p.z,
+                    });
+                }
+            }
+        }
+        self.patches.push(patch);
+        Ok(())
+    }
+}
+
+/// Remarks for the user. At most 64 distinct ones: file content cannot swell the report.
+#[derive(Debug, Default)]
+pub(super) struct Notes(Vec<Note>);
+
+impl Notes {
+    const MAX: usize = 64;
+
+    pub(super) fn add(&mut self, code: &'static str, text: impl Into<String>) {
+        let text = text.into();
+        if let Some(note) = self.0.iter_mut().find(|n| n.code == code && n.text == text) {
+            note.count += 1;
+        } else if self.0.len() < Self::MAX {
+            self.0.push(Note { code, text, count: 1 });
+        }
+    }
+
+    pub(super) fn into_vec(self) -> Vec<Note> {
+        self.0
+    }
+}

@@ -1,0 +1,139 @@
+//! PLY, OBJ and STL in their variants, each against the same square.
+
+use glam::DVec3;
+
+use super::*;
+use crate::mesh::{Semantic, WedgeId};
+
+const PLY_PROPERTIES: &str = "comment x\nelement vertex 4\nproperty uchar flags\n\
+    property double x\nproperty float y\nproperty short z\nproperty list uchar int extra\n\
+    property uchar red\nproperty uchar green\nproperty uchar blue\n\
+    element edge 1\nproperty int vertex1\n\
+    element face 1\nproperty uchar kind\nproperty list uchar uint vertex_index\nend_header\n";
+
+fn ply(encoding: &str, body: &[u8]) -> Vec<u8> {
+    let head = format!("ply\nformat {encoding} 1.0\n{PLY_PROPERTIES}");
+    [head.as_bytes(), body].concat()
+}
+
+/// The rows of the square as one polygon, in the order of [`PLY_PROPERTIES`].
+fn ply_binary(big: bool) -> Vec<u8> {
+    let mut body = Vec::new();
+    let mut push = |le: &[u8]| {
+        let mut bytes = le.to_vec();
+        if big {
+            bytes.reverse();
+        }
+        body.extend(bytes);
+    };
+    for [x, y] in [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0_f32]] {
+        push(&[9]);
+        push(&f64::from(x).to_le_bytes());
+        push(&y.to_le_bytes());
+        push(&(-2_i16).to_le_bytes());
+        push(&[1]);
+        push(&5_i32.to_le_bytes());
+        for c in [255, 0, 188] {
+            push(&[c]);
+        }
+    }
+    push(&3_i32.to_le_bytes());
+    push(&[1]);
+    push(&[4]);
+    (0..4_u32).for_each(|i| push(&i.to_le_bytes()));
+    body
+}
+
+#[test]
+fn ply_in_three_encodings() {
+    let ascii = "9 0 0 -2 1 5 255 0 188\n9 1 0 -2 1 5 255 0 188\r\n9 1 1 -2 1 5\n255 0 188\n\
+                 9 0 1 -2 1 5 255 0 188\n3\n1 4 0 1 2 3";
+    let files = [
+        ply("ascii", ascii.as_bytes()),
+        ply("binary_little_endian", &ply_binary(false)),
+        ply("binary_big_endian", &ply_binary(true)),
+    ];
+    for file in files {
+        let Ingest { mesh, report } = load("a.ply", &file).unwrap();
+        assert_eq!(mesh.faces, vec![[0, 1, 2], [0, 2, 3]]);
+        assert_eq!(mesh.positions[2], DVec3::new(1.0, 1.0, -2.0));
+        let color = mesh.layer(Semantic::Color(0)).unwrap().get(WedgeId(0));
+        assert_eq!(color[..2], [1.0, 0.0]);
+        assert!((color[2] - 0.503).abs() < 1e-3, "sRGB 188 is about half the light");
+        assert_eq!(color[3], 1.0);
+        let codes: Vec<_> = report.notes.iter().map(|n| n.code).collect();
+        assert_eq!(codes, ["property_ignored", "property_ignored", "element_ignored"]);
+    }
+}
+
+#[test]
+fn ply_strips_and_coordinates() {
+    let text = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\n\
+        property float z\nproperty float nx\nproperty float ny\nproperty float nz\n\
+        property float s\nproperty float t\nelement tristrips 1\n\
+        property list int int vertex_indices\nend_header\n\
+        0 0 0 0 0 1 0 0\n1 0 0 0 0 1 1 0\n0 1 0 0 0 0 0 1\n1 1 0 0 0 1 1 1\n\
+        8 0 1 2 3 -1 0 1 3\n";
+    let mesh = load("a.ply", text.as_bytes()).unwrap().mesh;
+    assert_eq!(mesh.faces, vec![[0, 1, 2], [2, 1, 3], [0, 1, 3]]);
+    assert_eq!(mesh.layer(Semantic::TexCoord(0)).unwrap().get(WedgeId(2)), &[0.0, 0.0]);
+    let normal = mesh.layer(Semantic::Normal).unwrap().get(WedgeId(2));
+    assert_eq!(normal, &[0.0, 0.0, 1.0], "a zero normal is computed");
+}
+
+/// A quad with negative indices, coordinates on some faces only, two materials and a line that
+/// continues.
+#[test]
+fn obj_polygons_materials_and_attributes() {
+    let text = "# square\nmtllib x.mtl\no thing\nv 0 0 0\nv 1 0 0 \nv 1 1 0\nv 0 1 0\r\n\
+        vt 0 0\nvt 1 0.25\nvn 0 0 2\nf -4 -3 -2 \\\n -1\nusemtl red paint\nf 1/1/1 2/2/1 3//1\n\
+        usemtl blue\nf 2 3 4\nusemtl red paint\nf 1 2 4\nl 1 2\nf 1 2\n";
+    let Ingest { mesh, report } = load("dir/a.OBJ", text.as_bytes()).unwrap();
+    assert_eq!(mesh.faces, vec![[0, 1, 2], [0, 2, 3], [0, 1, 2], [1, 2, 3], [0, 1, 3]]);
+    assert_eq!(mesh.face_materials, [0, 0, 1, 2, 1]);
+    let names: Vec<_> = mesh.materials.iter().map(|m| m.name.as_str()).collect();
+    assert_eq!(names, ["", "red paint", "blue"]);
+    let wedge = WedgeId(mesh.face_wedges[2][1]);
+    assert_eq!(mesh.layer(Semantic::TexCoord(0)).unwrap().get(wedge), &[1.0, 0.75]);
+    assert_eq!(mesh.layer(Semantic::Normal).unwrap().get(wedge), &[0.0, 0.0, 2.0]);
+    let plain = WedgeId(mesh.face_wedges[0][1]);
+    assert_eq!(mesh.layer(Semantic::Normal).unwrap().get(plain), &[0.0, 0.0, 1.0]);
+    let codes: Vec<_> = report.notes.iter().map(|n| n.code).collect();
+    assert_eq!(codes, ["mtllib_ignored", "short_faces"]);
+}
+
+#[test]
+fn obj_vertex_colours() {
+    let text = "v 0 0 0\nv 1 0 0 1 0 0\nv 0 1 0 0 1 0\nv 2 2 2\nf 1 2 3\n";
+    let mesh = load("a.obj", text.as_bytes()).unwrap().mesh;
+    let colors = mesh.layer(Semantic::Color(0)).unwrap();
+    assert_eq!(colors.get(WedgeId(0)), &[1.0; 4]);
+    assert_eq!(colors.get(WedgeId(1)), &[1.0, 0.0, 0.0, 1.0]);
+}
+
+#[test]
+fn stl_in_both_kinds() {
+    let facets =
+        [[[0., 0., 0.], [1., 0., 0.], [1., 1., 0.]], [[0., 0., 0.], [1., 1., 0.], [0., 1., 0.]]];
+    let mut text = "solid square\n".to_owned();
+    let mut binary = b"solid but binary".to_vec();
+    binary.resize(80, b' ');
+    binary.extend(2_u32.to_le_bytes());
+    for facet in facets {
+        text += "facet normal 0 0 1\n outer loop\n";
+        binary.extend(bytes_of(&[0.0; 3]));
+        for [x, y, z] in facet {
+            text = format!("{text}  vertex {x} {y} {z}\r\n");
+            binary.extend(bytes_of(&[x, y, z]));
+        }
+        text += " endloop\nendfacet\n";
+        binary.extend([0, 0]);
+    }
+    text += "endsolid square\n";
+    let from_text = load("a.stl", text.as_bytes()).unwrap().mesh;
+    assert_eq!(from_text.faces, vec![[0, 1, 2], [0, 2, 3]]);
+    assert_eq!(load("a.stl", &binary).unwrap().mesh, from_text);
+    assert_eq!(load("unnamed", &binary).unwrap().report.notes[0].code, "format_by_content");
+    let cut = text.replace("  vertex 0 1 0\r\n", "");
+    assert!(error_of("a.stl", cut.as_bytes()).to_string().contains("2 vertices instead of 3"));
+}

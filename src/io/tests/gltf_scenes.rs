@@ -1,0 +1,161 @@
+//! glTF: nodes, primitives, accessors of every kind.
+
+use base64::{Engine, engine::general_purpose::STANDARD};
+use glam::DVec3;
+
+use super::*;
+use crate::mesh::{Semantic, WedgeId};
+
+#[test]
+fn the_square_is_read() {
+    let Ingest { mesh, report } = load("square.glb", &square_glb()).unwrap();
+    assert_eq!(mesh.faces, vec![[0, 1, 2], [2, 1, 3]]);
+    assert_eq!(mesh.positions[3], DVec3::new(1.0, 1.0, 0.0));
+    assert_eq!((report.boundary_edges, report.components, report.instances), (4, 1, 1));
+    assert!(mesh.layers.is_empty() && mesh.materials.is_empty() && report.notes.is_empty());
+}
+
+#[test]
+fn json_with_embedded_buffers_gives_the_same() {
+    let mut json = square_json();
+    let text = STANDARD.encode(square_bin());
+    json["buffers"][0]["uri"] = format!("data:application/octet-stream;base64,{text}").into();
+    let packed = load("square.glb", &square_glb()).unwrap();
+    let open = load("square.gltf", json.to_string().as_bytes()).unwrap();
+    assert_eq!(packed.mesh, open.mesh);
+    let unpadded = json.to_string().replace('=', "");
+    assert_eq!(load("square.gltf", unpadded.as_bytes()).unwrap().mesh, open.mesh);
+}
+
+/// A parent that moves and scales, a child that turns by a quarter, and a mirrored instance.
+#[test]
+fn instances_are_placed_and_mirrors_turned() {
+    let mut json = square_json();
+    let half = 0.5_f32.sqrt();
+    json["nodes"] = json!([
+        { "children": [1, 2], "translation": [10, 0, 0], "scale": [2, 2, 2] },
+        { "mesh": 0, "rotation": [0, 0, half, half] },
+        { "mesh": 0, "matrix": [-1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 5, 1] },
+    ]);
+    let Ingest { mesh, report } = load("x.glb", &glb(&json, &square_bin())).unwrap();
+    assert_eq!((report.instances, report.triangles, report.components), (2, 4, 2));
+    let at = |i: usize, want: [f64; 3]| {
+        let want = DVec3::from_array(want);
+        assert!(mesh.positions[i].distance(want) < 1e-6, "{i}: {}", mesh.positions[i]);
+    };
+    at(1, [10.0, 2.0, 0.0]);
+    at(2, [8.0, 0.0, 0.0]);
+    at(5, [8.0, 0.0, 10.0]);
+    assert_eq!(mesh.faces[2], [4, 6, 5], "a mirrored triangle is turned round");
+}
+
+#[test]
+fn strips_and_fans_and_unindexed_primitives() {
+    let mut json = square_json();
+    for (mode, faces) in [(5, vec![[0, 1, 2], [1, 3, 2]]), (6, vec![[1, 2, 0], [2, 3, 0]])] {
+        json["meshes"][0]["primitives"] =
+            json!([{ "attributes": { "POSITION": 0 }, "mode": mode }]);
+        let mesh = load("x.glb", &glb(&json, &square_bin())).unwrap().mesh;
+        assert_eq!(mesh.faces, faces, "mode {mode}");
+    }
+}
+
+/// 16-bit normalized positions, strided; 8-bit colours without alpha; a sparse accessor that
+/// moves vertex 3.
+#[test]
+fn quantized_strided_and_sparse_accessors() {
+    let mut bin = Vec::new();
+    for [x, y] in [[0_u16, 0], [65_535, 0], [0, 65_535], [65_535, 65_535]] {
+        bin.extend([x, y, 0, 7].iter().flat_map(|v| v.to_le_bytes()));
+    }
+    bin.extend([255, 0, 0, 0, 255, 0, 0, 0, 255, 51, 51, 51]);
+    bin.extend([3, 0, 0, 0]);
+    bin.extend([65_535_u16, 65_535, 65_535, 0].iter().flat_map(|v| v.to_le_bytes()));
+    let mut json = square_json();
+    json["extensionsRequired"] = json!(["KHR_mesh_quantization"]);
+    json["meshes"][0]["primitives"] =
+        json!([{ "attributes": { "POSITION": 0, "COLOR_0": 1 }, "mode": 5 }]);
+    json["buffers"][0]["byteLength"] = bin.len().into();
+    json["bufferViews"] = json!([
+        { "buffer": 0, "byteLength": 32, "byteStride": 8 },
+        { "buffer": 0, "byteOffset": 32, "byteLength": 12 },
+        { "buffer": 0, "byteOffset": 44, "byteLength": 4 },
+        { "buffer": 0, "byteOffset": 48, "byteLength": 8 },
+    ]);
+    json["accessors"] = json!([
+        {
+            "bufferView": 0, "componentType": 5123, "count": 4, "type": "VEC3",
+            "normalized": true,
+            "sparse": {
+                "count": 1,
+                "indices": { "bufferView": 2, "componentType": 5121 },
+                "values": { "bufferView": 3 },
+            },
+        },
+        { "bufferView": 1, "componentType": 5121, "count": 4, "type": "VEC3" },
+    ]);
+    let mesh = load("x.glb", &glb(&json, &bin)).unwrap().mesh;
+    assert_eq!(mesh.positions[1], DVec3::X);
+    assert_eq!(mesh.positions[3], DVec3::ONE);
+    let colors = mesh.layer(Semantic::Color(0)).unwrap();
+    assert_eq!(colors.get(WedgeId(0)), &[1.0, 0.0, 0.0, 1.0]);
+    assert_eq!(colors.get(WedgeId(3)), &[0.2, 0.2, 0.2, 1.0]);
+}
+
+#[test]
+fn materials_and_what_is_left_out() {
+    let mut json = square_json();
+    json["materials"] = json!([
+        { "name": "skin", "doubleSided": true, "alphaMode": "MASK",
+          "pbrMetallicRoughness": {
+              "baseColorFactor": [0.5, 0.25, 0.125, 1], "baseColorTexture": { "index": 0 } } },
+        { "extensions": { "KHR_materials_unlit": {} } },
+    ]);
+    json["extensionsRequired"] = json!(["KHR_materials_unlit"]);
+    let primitive = |material: Value| {
+        let mut p = json["meshes"][0]["primitives"][0].clone();
+        p["material"] = material;
+        p
+    };
+    let mut bare = json["meshes"][0]["primitives"][0].clone();
+    bare["targets"] = json!([{ "POSITION": 0 }]);
+    let points = json!({ "attributes": { "POSITION": 0 }, "mode": 0 });
+    json["meshes"][0]["primitives"] =
+        json!([primitive(json!(1)), primitive(json!(0)), bare, points]);
+    let Ingest { mesh, report } = load("x.glb", &glb(&json, &square_bin())).unwrap();
+    assert_eq!(mesh.face_materials, [1, 1, 0, 0, 2, 2]);
+    assert_eq!(mesh.materials[0].base_color, [0.5, 0.25, 0.125, 1.0]);
+    assert!(mesh.materials[0].double_sided && !mesh.materials[1].double_sided);
+    assert!(mesh.materials[1].unlit && !mesh.materials[0].unlit);
+    assert_eq!(mesh.materials[0].name, "skin");
+    assert_eq!(report.duplicate_faces, 4);
+    let codes: Vec<_> = report.notes.iter().map(|n| n.code).collect();
+    let want =
+        ["textures_ignored", "alpha_ignored", "morph_targets_ignored", "points_and_lines_ignored"];
+    assert_eq!(codes, want);
+}
+
+/// Normals keep right angles to a sheared surface, and their length.
+#[test]
+fn normals_go_with_the_surface() {
+    let mut bin = square_bin();
+    bin.extend(bytes_of(&[0.0, 0.0, 1.0].repeat(4)));
+    let mut json = square_json();
+    json["buffers"][0]["byteLength"] = bin.len().into();
+    json["bufferViews"]
+        .as_array_mut()
+        .unwrap()
+        .push(json!({ "buffer": 0, "byteOffset": 60, "byteLength": 48 }));
+    json["accessors"]
+        .as_array_mut()
+        .unwrap()
+        .push(json!({ "bufferView": 2, "componentType": 5126, "count": 4, "type": "VEC3" }));
+    json["meshes"][0]["primitives"][0]["attributes"]["NORMAL"] = 2.into();
+    // x stays, y stays, and z grows with x: the surface tilts by 45 degrees.
+    json["nodes"] = json!([{ "mesh": 0,
+        "matrix": [1, 0, 1, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1] }]);
+    let mesh = load("x.glb", &glb(&json, &bin)).unwrap().mesh;
+    let normal = mesh.layer(Semantic::Normal).unwrap().get(WedgeId(0));
+    let want = [-0.5_f32.sqrt(), 0.0, 0.5_f32.sqrt()];
+    assert!(normal.iter().zip(want).all(|(a, b)| (a - b).abs() < 1e-6), "{normal:?}");
+}

@@ -1,0 +1,45 @@
+//! The distinct corners of a set of faces, as a file stores them.
+
+use glam::DVec3;
+
+use crate::mesh::{AttributeLayer, Mesh, WedgeId};
+
+/// Vertices of a file and the triangles between them.
+pub(super) struct Points {
+    /// (wedge, vertex), ascending; wedge 0 in a mesh without layers.
+    corners: Vec<(u32, u32)>,
+    pub(super) triangles: Vec<[u32; 3]>,
+}
+
+impl Points {
+    /// The corners that `faces` use. The mesh has been checked.
+    pub(super) fn of(mesh: &Mesh, faces: &[u32]) -> Self {
+        let corners_of = |face: u32| {
+            let vertices = mesh.faces[face as usize];
+            let wedges = mesh.face_wedges.get(face as usize).copied().unwrap_or([0; 3]);
+            [0, 1, 2].map(|k| (wedges[k], vertices[k]))
+        };
+        let mut corners: Vec<_> = faces.iter().flat_map(|f| corners_of(*f)).collect();
+        corners.sort_unstable();
+        corners.dedup();
+        let index_of = |c: (u32, u32)| corners.partition_point(|x| *x < c) as u32;
+        let triangles = faces.iter().map(|f| corners_of(*f).map(index_of)).collect();
+        Self { corners, triangles }
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.corners.len()
+    }
+
+    pub(super) fn positions<'a>(&'a self, mesh: &'a Mesh) -> impl Iterator<Item = DVec3> + 'a {
+        self.corners.iter().map(|(_, v)| mesh.positions[*v as usize])
+    }
+
+    /// The values of a layer at each point.
+    pub(super) fn values<'a>(
+        &'a self,
+        layer: &'a AttributeLayer,
+    ) -> impl Iterator<Item = &'a [f32]> {
+        self.corners.iter().map(|(w, _)| layer.get(WedgeId(*w)))
+    }
+}

@@ -1,0 +1,119 @@
+//! What workers ask for: work, and places for what they make of it.
+
+use std::{path::PathBuf, time::Duration};
+
+use tokio::{
+    sync::mpsc,
+    time::{Instant, timeout},
+};
+use tokio_util::bytes::Bytes;
+
+use super::{
+    Jobs,
+    blobs::is_safe_name,
+    clients::Announced,
+    error::{Error, Result},
+    event::Report,
+    lease::Lease,
+    segment,
+    state::State,
+    store::{Appended, Artifact, Job, Outcome},
+};
+
+/// The queue is looked at this often even when nobody calls.
+const POLL: Duration = Duration::from_secs(2);
+
+impl Jobs {
+    /// Gives the oldest queued job to `worker`, waiting up to `wait` for one.
+    pub async fn claim(&self, worker: &str, wait: Duration) -> Result<Option<Job>> {
+        let deadline = Instant::now() + wait;
+        let mut queue = self.0.signals.watch_queue();
+        loop {
+            if let Some(job) = self.0.store.claim(worker, &self.0.terms).await? {
+                self.0.signals.log_grew(&job.id);
+                return Ok(Some(job));
+            }
+            let left = deadline.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Ok(None);
+            }
+            // Time out or not: look again.
+            let _ = timeout(left.min(POLL), queue.changed()).await;
+        }
+    }
+
+    /// Extends a lease; true when the worker should stop.
+    pub async fn heartbeat(&self, lease: &Lease) -> Result<bool> {
+        self.0.store.heartbeat(lease, &self.0.terms).await
+    }
+
+    /// The file of the input of the job under `lease`.
+    pub async fn input(&self, lease: &Lease) -> Result<PathBuf> {
+        let job = self.0.store.check(lease).await?;
+        Ok(self.0.blobs.mesh(&job.mesh))
+    }
+
+    /// Appends to the log. `first` is the number (from 0) of the attempt's event that `reports`
+    /// begins with; those that are held already are skipped.
+    pub async fn append(
+        &self,
+        lease: &Lease,
+        first: u64,
+        reports: Vec<Report>,
+    ) -> Result<Appended> {
+        // Refuse a stale worker before it fills the disk; the transaction checks again.
+        let job = self.0.store.check(lease).await?;
+        if first + reports.len() as u64 <= job.appended {
+            let cancel_requested = job.cancel_requested;
+            return Ok(Appended { held: job.appended, cancel_requested });
+        }
+        let at = lease.clone();
+        let entries = self
+            .blocking(move |blobs| {
+                let (segments, entries) = segment::pack(first, reports)?;
+                for segment in segments {
+                    let path = blobs.segment(&at.job, at.epoch, &segment.name);
+                    blobs.commit(blobs.stage_bytes(&segment.packed)?, &path)?;
+                }
+                Ok(entries)
+            })
+            .await?;
+        let appended = self.0.store.append(lease, first, &entries).await?;
+        self.0.signals.log_grew(&lease.job);
+        Ok(appended)
+    }
+
+    /// Stores a file of the result: the bytes that arrive on `chunks` until it closes.
+    pub async fn put_artifact(
+        &self,
+        lease: &Lease,
+        artifact: Artifact,
+        chunks: mpsc::Receiver<Bytes>,
+    ) -> Result<()> {
+        if !is_safe_name(&artifact.file) {
+            let text = "use 1 to 128 characters of [A-Za-z0-9._-], the first of which is no dot";
+            return Err(Error::invalid("header.file", text));
+        }
+        self.0.store.check(lease).await?;
+        let limit = self.0.limits.max_artifact_bytes;
+        let staged = self.blocking(move |blobs| blobs.stage(chunks, limit)).await?;
+        let announced = Announced { size: artifact.size, hash: artifact.blake3.clone() };
+        announced.check(&artifact.file, staged.size, &staged.hash)?;
+        let stored = Artifact { size: staged.size, blake3: staged.hash.clone(), ..artifact };
+        let (at, file) = (lease.clone(), stored.file.clone());
+        self.blocking(move |blobs| blobs.commit(staged, &blobs.artifact(&at.job, at.epoch, &file)))
+            .await?;
+        self.0.store.add_artifact(lease, &stored).await
+    }
+
+    /// Ends the attempt.
+    pub async fn complete(&self, lease: &Lease, outcome: &Outcome) -> Result<Job> {
+        let job = self.0.store.complete(lease, outcome, self.0.terms.max_lost).await?;
+        if job.state == State::Succeeded {
+            let (id, epoch) = (job.id.clone(), job.epoch);
+            self.blocking(move |blobs| blobs.remove_artifacts_before(&id, epoch)).await?;
+        }
+        let mut jobs = self.announce(vec![job]);
+        jobs.pop().ok_or_else(|| Error::NotFound(format!("jobs/{}", lease.job)))
+    }
+}

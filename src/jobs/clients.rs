@@ -1,0 +1,189 @@
+//! What clients ask for: meshes in, jobs, artifacts out.
+
+use std::path::PathBuf;
+
+use tokio::sync::mpsc;
+use tokio_util::bytes::Bytes;
+
+use super::{
+    Jobs,
+    blobs::{is_hash, is_safe_name},
+    error::{Error, Result},
+    spec::Fault,
+    state::State,
+    store::{Artifact, Job, NewJob},
+};
+
+/// A mesh that is on disk.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct StoredMesh {
+    /// BLAKE3, lower-case hexadecimal.
+    pub hash: String,
+    /// Bytes.
+    pub size: u64,
+    /// It was there before.
+    pub existed: bool,
+}
+
+/// What the sender says it will send.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Announced {
+    /// Bytes; 0 when unknown.
+    pub size: u64,
+    /// BLAKE3; empty when unknown.
+    pub hash: String,
+}
+
+impl Announced {
+    /// Whether what came is what was announced.
+    pub(super) fn check(&self, what: &str, size: u64, hash: &str) -> Result<()> {
+        let fault = if self.size != 0 && self.size != size {
+            format!("{size} bytes came, {} were announced", self.size)
+        } else if !self.hash.is_empty() && self.hash != hash {
+            format!("its hash is {hash}, {} was announced", self.hash)
+        } else {
+            return Ok(());
+        };
+        Err(Error::Corrupt { what: what.into(), fault })
+    }
+}
+
+impl Jobs {
+    /// A mesh that is stored already.
+    pub async fn find_mesh(&self, hash: &str) -> Result<Option<StoredMesh>> {
+        let size = self.0.store.mesh_size(hash).await?;
+        Ok(size.map(|size| StoredMesh { hash: hash.into(), size, existed: true }))
+    }
+
+    /// Stores the bytes that arrive on `chunks` until it closes.
+    pub async fn put_mesh(
+        &self,
+        announced: Announced,
+        chunks: mpsc::Receiver<Bytes>,
+    ) -> Result<StoredMesh> {
+        let limit = self.0.limits.max_mesh_bytes;
+        let staged = self.blocking(move |blobs| blobs.stage(chunks, limit)).await?;
+        announced.check("the mesh", staged.size, &staged.hash)?;
+        let (hash, size) = (staged.hash.clone(), staged.size);
+        self.blocking(move |blobs| {
+            let path = blobs.mesh(&staged.hash);
+            blobs.commit(staged, &path)
+        })
+        .await?;
+        let existed = !self.0.store.add_mesh(&hash, size).await?;
+        Ok(StoredMesh { hash, size, existed })
+    }
+
+    /// Creates a job, unless the same request made it before. `faults` are those that the caller
+    /// found already; all are reported together.
+    pub async fn create(&self, new: NewJob, mut faults: Vec<Fault>) -> Result<Job> {
+        faults.extend(self.faults_of(&new).await?);
+        if !faults.is_empty() {
+            return Err(Error::Invalid(faults));
+        }
+        let id = uuid::Uuid::now_v7().simple().to_string();
+        let (job, is_new) = self.0.store.create(&id, &new, self.0.limits.max_queued).await?;
+        if is_new {
+            self.0.signals.queue_grew();
+        }
+        Ok(job)
+    }
+
+    async fn faults_of(&self, new: &NewJob) -> Result<Vec<Fault>> {
+        let mut faults = Vec::new();
+        let mut fault =
+            |field: &str, text: String| faults.push(Fault { field: field.into(), text });
+        let id = &new.request_id;
+        if id.len() > 128 || !id.bytes().all(|c| c.is_ascii_graphic() || c == b' ') {
+            fault("request_id", "use at most 128 printable ASCII characters".into());
+        }
+        if !is_hash(&new.mesh) {
+            fault("mesh", "use the name that UploadMesh returned, `meshes/{hash}`".into());
+        } else if self.find_mesh(&new.mesh).await?.is_none() {
+            fault("mesh", format!("meshes/{} is not stored: upload it first", new.mesh));
+        }
+        if !is_file_name(&new.file_name) {
+            let text = format!(
+                "`{}` is not a file name with an extension, such as `bunny.ply`",
+                new.file_name.escape_default()
+            );
+            fault("file_name", text);
+        }
+        faults.extend(
+            new.spec
+                .validate()
+                .into_iter()
+                .map(|fault| Fault { field: format!("spec.{}", fault.field), text: fault.text }),
+        );
+        Ok(faults)
+    }
+
+    /// One job.
+    pub async fn job(&self, id: &str) -> Result<Job> {
+        self.0.store.job(id).await
+    }
+
+    /// Jobs in one of `states` (all when empty), newest first, older than the job numbered `before`.
+    pub async fn list(
+        &self,
+        states: &[State],
+        before: Option<i64>,
+        limit: u32,
+    ) -> Result<Vec<Job>> {
+        self.0.store.list(states, before, limit).await
+    }
+
+    /// Cancels a queued job, or asks the worker of a running one to stop.
+    pub async fn cancel(&self, id: &str) -> Result<Job> {
+        let job = self.0.store.cancel(id).await?;
+        self.0.signals.log_grew(id);
+        Ok(job)
+    }
+
+    /// Deletes an ended job with its log and artifacts.
+    pub async fn delete(&self, id: &str) -> Result<()> {
+        self.0.store.delete(id).await?;
+        self.0.signals.log_grew(id);
+        let id = id.to_owned();
+        self.blocking(move |blobs| blobs.remove_job(&id)).await
+    }
+
+    /// The artifacts of an ended job, by name; none before.
+    pub async fn artifacts(&self, id: &str) -> Result<Vec<Artifact>> {
+        Ok(self.0.store.artifacts(id).await?.1)
+    }
+
+    /// One artifact of an ended job, and its file.
+    pub async fn artifact(&self, id: &str, file: &str) -> Result<(Artifact, PathBuf)> {
+        let (job, artifacts) = self.0.store.artifacts(id).await?;
+        let missing = || Error::NotFound(format!("jobs/{id}/artifacts/{file}"));
+        let artifact = artifacts.into_iter().find(|a| a.file == file).ok_or_else(missing)?;
+        let path = self.0.blobs.artifact(id, job.epoch, &artifact.file);
+        Ok((artifact, path))
+    }
+}
+
+/// One path component with an extension. It is shown and its extension read; it never names a file
+/// of the server.
+fn is_file_name(name: &str) -> bool {
+    let extension = name.rsplit_once('.').map_or("", |(_, extension)| extension);
+    name.len() <= 255
+        && !name.contains(['/', '\\'])
+        && !name.chars().any(char::is_control)
+        && is_safe_name(extension)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn file_names_need_an_extension_and_no_folder() {
+        for good in ["bunny.ply", "Ünïcode name.GLB", "a.b.obj", ".ply"] {
+            assert!(is_file_name(good), "{good}");
+        }
+        for bad in ["", "bunny", "bunny.", "../x.ply", "a\\b.ply", "a\n.ply"] {
+            assert!(!is_file_name(bad), "{bad:?}");
+        }
+    }
+}

@@ -1,0 +1,121 @@
+//! What can go wrong with jobs. `service::status` maps each to the wire.
+
+use std::{io, path::PathBuf};
+
+use super::{spec::Fault, state::State};
+
+/// A failed operation on jobs.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// There is no such thing.
+    #[error("{0} does not exist: it was never created, or it was deleted")]
+    NotFound(String),
+    /// The request is at fault; every fault is listed.
+    #[error("{}", list(.0))]
+    Invalid(Vec<Fault>),
+    /// The same `request_id` came with other contents.
+    #[error("request_id `{0}` was used before for another job: choose a new one")]
+    RequestIdReused(String),
+    /// The transition table forbids it.
+    #[error("{job} is {state}: {remedy}")]
+    Illegal {
+        /// Resource name.
+        job: String,
+        /// Its state.
+        state: State,
+        /// What to do.
+        remedy: &'static str,
+    },
+    /// The lease is not, or no longer, the job's.
+    #[error("the lease of epoch {epoch} on {job} is stale ({why}): drop the attempt")]
+    Stale {
+        /// Resource name.
+        job: String,
+        /// The epoch of the call.
+        epoch: u64,
+        /// What holds instead.
+        why: String,
+    },
+    /// A batch of events leaves a gap.
+    #[error("events from {first} on do not follow the {held} that are held: send them from {held}")]
+    Gap {
+        /// First index of the batch.
+        first: u64,
+        /// Events held.
+        held: u64,
+    },
+    /// What arrived is not what was announced.
+    #[error("{what}: {fault}; send it again")]
+    Corrupt {
+        /// Which transfer.
+        what: String,
+        /// How it differs.
+        fault: String,
+    },
+    /// A transfer is larger than allowed.
+    #[error("{what} is larger than the {limit} bytes allowed")]
+    TooLarge {
+        /// Which transfer.
+        what: String,
+        /// The cap in bytes.
+        limit: u64,
+    },
+    /// The queue is full.
+    #[error("the queue holds {0} jobs, which is its limit: try again later")]
+    QueueFull(u64),
+    /// Another server owns the data directory.
+    #[error(
+        "{} is in use by another server: stop that one, or choose another --data-dir",
+        .0.display()
+    )]
+    InUse(PathBuf),
+    /// The database failed.
+    #[error("the job database failed: {0}")]
+    Sql(#[from] sqlx::Error),
+    /// The database is of another version.
+    #[error("the job database cannot be brought up to date: {0}")]
+    Migrate(#[from] sqlx::migrate::MigrateError),
+    /// A stored value cannot be read.
+    #[error("a stored value of {what} cannot be read: {source}")]
+    Stored {
+        /// Which.
+        what: String,
+        /// Why.
+        source: serde_json::Error,
+    },
+    /// The object directory failed.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// Which file or folder.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// A background task died.
+    #[error("a background task ended early: {0}")]
+    Task(#[from] tokio::task::JoinError),
+}
+
+impl Error {
+    /// Wraps an I/O error with its path.
+    pub fn io(path: impl Into<PathBuf>) -> impl FnOnce(io::Error) -> Self {
+        let path = path.into();
+        move |source| Self::Io { path, source }
+    }
+
+    /// One fault of a request.
+    pub fn invalid(field: impl Into<String>, text: impl Into<String>) -> Self {
+        Self::Invalid(vec![Fault { field: field.into(), text: text.into() }])
+    }
+}
+
+fn list(faults: &[Fault]) -> String {
+    faults
+        .iter()
+        .map(|fault| format!("{}: {}", fault.field, fault.text))
+        .collect::<Vec<_>>()
+        .join("; ")
+}
+
+/// Results of this module.
+pub type Result<T> = std::result::Result<T, Error>;

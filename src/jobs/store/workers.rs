@@ -1,0 +1,370 @@
+//! What workers ask of the database, and what becomes of the jobs of workers that are gone.
+//!
+//! Every write checks the lease inside its own transaction ([`held`]): a worker whose attempt was
+//! taken away cannot change anything.
+
+use sqlx::{Sqlite, SqliteConnection, Transaction};
+
+use super::{Artifact, Body, Job, SegmentRange, Store, find, job_of, log, now_ms, state_entry};
+use crate::jobs::{
+    error::{Error, Result},
+    event::{CREATED_SEQ, Report, ServerEvent},
+    lease::{Lease, Loss, Terms, verdict},
+    state::Trigger,
+};
+
+/// How a worker says its attempt ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// All is done; these files are the result.
+    Succeeded(Vec<String>),
+    /// The job is at fault: code and text.
+    Failed(String, String),
+    /// Stopped as asked.
+    Cancelled,
+    /// The attempt is at fault, for this reason.
+    AttemptFailed(String),
+    /// The worker hands the job back, for this reason.
+    Released(String),
+}
+
+/// What a batch of events led to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Appended {
+    /// Events of this attempt now held.
+    pub held: u64,
+    /// The worker should stop.
+    pub cancel_requested: bool,
+}
+
+impl Store {
+    /// Gives the oldest queued job to `worker`.
+    pub async fn claim(&self, worker: &str, terms: &Terms) -> Result<Option<Job>> {
+        let mut tx = self.begin().await?;
+        lose_all_of(&mut tx, worker, Loss::Abandoned, terms.max_lost).await?;
+        let query = "SELECT * FROM jobs WHERE state = 'QUEUED' ORDER BY n LIMIT 1";
+        let row = sqlx::query(query).fetch_optional(&mut *tx).await?;
+        let job = match row {
+            Some(row) => Some(start(&mut tx, job_of(&row)?, worker, terms).await?),
+            None => None,
+        };
+        tx.commit().await?;
+        Ok(job)
+    }
+
+    /// Extends a lease; true when the worker should stop.
+    pub async fn heartbeat(&self, lease: &Lease, terms: &Terms) -> Result<bool> {
+        let mut tx = self.begin().await?;
+        let job = held(&mut tx, lease).await?;
+        let until = now_ms(&mut tx).await? + terms.lease.as_millis() as i64;
+        let update = sqlx::query("UPDATE jobs SET lease_until_ms = ? WHERE id = ?");
+        update.bind(until).bind(&lease.job).execute(&mut *tx).await?;
+        tx.commit().await?;
+        Ok(job.cancel_requested)
+    }
+
+    /// The job, if the lease is good at this moment.
+    pub async fn check(&self, lease: &Lease) -> Result<Job> {
+        held(&mut *self.readers.acquire().await?, lease).await
+    }
+
+    /// Appends `entries`, the first of which is the attempt's event number `first` (from 0). Those
+    /// that are held already are skipped.
+    pub async fn append(
+        &self,
+        lease: &Lease,
+        first: u64,
+        entries: &[(Body, Option<SegmentRange>)],
+    ) -> Result<Appended> {
+        let mut tx = self.begin().await?;
+        let mut job = held(&mut tx, lease).await?;
+        let held = job.appended;
+        let skip = held.checked_sub(first).ok_or(Error::Gap { first, held })?;
+        let entries = entries.get(skip as usize..).unwrap_or_default();
+        if !entries.is_empty() {
+            let now = now_ms(&mut tx).await?;
+            log(&mut tx, &mut job, now, entries).await?;
+            job.appended += entries.len() as u64;
+            note_progress(&mut job, entries);
+            let update = "UPDATE jobs SET appended = ?, stage = ?, fraction = ? WHERE id = ?";
+            let update = sqlx::query(update).bind(job.appended as i64).bind(&job.stage);
+            update.bind(job.fraction).bind(&job.id).execute(&mut *tx).await?;
+            tx.commit().await?;
+        }
+        Ok(Appended { held: job.appended, cancel_requested: job.cancel_requested })
+    }
+
+    /// Notes that a file of the result is stored.
+    pub async fn add_artifact(&self, lease: &Lease, artifact: &Artifact) -> Result<()> {
+        let mut tx = self.begin().await?;
+        held(&mut tx, lease).await?;
+        let insert = sqlx::query("INSERT OR REPLACE INTO artifacts VALUES (?, ?, ?, ?, ?, ?)");
+        let insert = insert.bind(&lease.job).bind(lease.epoch as i64).bind(&artifact.file);
+        let insert = insert.bind(&artifact.media_type).bind(artifact.size as i64);
+        insert.bind(&artifact.blake3).execute(&mut *tx).await?;
+        tx.commit().await?;
+        Ok(())
+    }
+
+    /// Ends the attempt. A repetition of the call that ended the job is accepted.
+    pub async fn complete(&self, lease: &Lease, outcome: &Outcome, max_lost: u32) -> Result<Job> {
+        let mut tx = self.begin().await?;
+        if let Some(job) = repeated(&mut tx, lease, outcome).await? {
+            return Ok(job);
+        }
+        let job = held(&mut tx, lease).await?;
+        let job = match outcome {
+            Outcome::Succeeded(files) => succeed(&mut tx, job, files).await?,
+            Outcome::Failed(reason, text) => {
+                end(&mut tx, job, Trigger::Fail, reason, text.clone()).await?
+            }
+            Outcome::Cancelled if !job.cancel_requested => {
+                let remedy = "nobody asked to cancel it: complete it in another way";
+                return Err(Error::Illegal { job: job.name(), state: job.state, remedy });
+            }
+            Outcome::Cancelled => {
+                let text = "cancelled on request".into();
+                end(&mut tx, job, Trigger::Cancel, "CANCELLED", text).await?
+            }
+            Outcome::AttemptFailed(text) => {
+                lose(&mut tx, job, Loss::AttemptFailed, text, max_lost).await?
+            }
+            Outcome::Released(text) => lose(&mut tx, job, Loss::Released, text, max_lost).await?,
+        };
+        tx.commit().await?;
+        Ok(job)
+    }
+
+    /// Takes away every lease that ran out; the jobs concerned, as they are then.
+    pub async fn lose_expired(&self, max_lost: u32) -> Result<Vec<Job>> {
+        let query = "SELECT count(*) FROM jobs WHERE state = 'RUNNING' AND lease_until_ms < ?";
+        let now = now_ms(&mut *self.readers.acquire().await?).await?;
+        if sqlx::query_scalar::<_, i64>(query).bind(now).fetch_one(&self.readers).await? == 0 {
+            return Ok(Vec::new());
+        }
+        let mut tx = self.begin().await?;
+        let query = "SELECT * FROM jobs WHERE state = 'RUNNING' AND lease_until_ms < ?";
+        let rows = sqlx::query(query).bind(now).fetch_all(&mut *tx).await?;
+        let mut jobs = Vec::with_capacity(rows.len());
+        for row in &rows {
+            jobs.push(lose(&mut tx, job_of(row)?, Loss::LeaseExpired, "", max_lost).await?);
+        }
+        tx.commit().await?;
+        Ok(jobs)
+    }
+
+    /// Takes away whatever `worker` holds; the jobs concerned, as they are then.
+    pub async fn lose_worker(&self, worker: &str, loss: Loss, max_lost: u32) -> Result<Vec<Job>> {
+        let mut tx = self.begin().await?;
+        let jobs = lose_all_of(&mut tx, worker, loss, max_lost).await?;
+        tx.commit().await?;
+        Ok(jobs)
+    }
+
+    /// The workers that hold a lease.
+    pub async fn lease_holders(&self) -> Result<Vec<String>> {
+        let query = "SELECT DISTINCT worker FROM jobs WHERE state = 'RUNNING' ORDER BY worker";
+        Ok(sqlx::query_scalar(query).fetch_all(&self.readers).await?)
+    }
+
+    /// Extends what `worker` holds, as if it had been heard of: for the time nobody could hear it.
+    pub async fn renew(&self, worker: &str, terms: &Terms) -> Result<()> {
+        let mut tx = self.begin().await?;
+        let until = now_ms(&mut tx).await? + terms.lease.as_millis() as i64;
+        let update = "UPDATE jobs SET lease_until_ms = ? WHERE state = 'RUNNING' AND worker = ?";
+        sqlx::query(update).bind(until).bind(worker).execute(&mut *tx).await?;
+        tx.commit().await?;
+        Ok(())
+    }
+}
+
+/// The job, if `lease` may write on it.
+async fn held(conn: &mut SqliteConnection, lease: &Lease) -> Result<Job> {
+    let stale = |why| Error::Stale { job: format!("jobs/{}", lease.job), epoch: lease.epoch, why };
+    let job = match find(conn, &lease.job).await {
+        Err(Error::NotFound(_)) => return Err(stale("the job was deleted".into())),
+        found => found?,
+    };
+    if job.state.after(Trigger::Succeed).is_none() {
+        Err(stale(format!("the job is {}", job.state)))
+    } else if (job.epoch, job.worker.as_str()) != (lease.epoch, lease.worker.as_str()) {
+        Err(stale(format!("epoch {} belongs to worker `{}`", job.epoch, job.worker)))
+    } else {
+        Ok(job)
+    }
+}
+
+/// The job, if `outcome` is what ended it under this very lease: the answer was lost on the way.
+async fn repeated(
+    conn: &mut SqliteConnection,
+    lease: &Lease,
+    outcome: &Outcome,
+) -> Result<Option<Job>> {
+    use super::State::{Cancelled, Failed, Succeeded};
+    let end = match outcome {
+        Outcome::Succeeded(_) => Succeeded,
+        Outcome::Failed(..) => Failed,
+        Outcome::Cancelled => Cancelled,
+        Outcome::AttemptFailed(_) | Outcome::Released(_) => return Ok(None),
+    };
+    let query = "SELECT * FROM jobs WHERE id = ? AND epoch = ? AND worker = ? AND state = ?";
+    let query = sqlx::query(query).bind(&lease.job).bind(lease.epoch as i64);
+    let query = query.bind(&lease.worker).bind(end.name());
+    query.fetch_optional(conn).await?.as_ref().map(job_of).transpose()
+}
+
+async fn start(
+    tx: &mut Transaction<'static, Sqlite>,
+    mut job: Job,
+    worker: &str,
+    terms: &Terms,
+) -> Result<Job> {
+    let now = now_ms(tx).await?;
+    job.state = after(&job, Trigger::Claim)?;
+    job.epoch += 1;
+    job.attempt += 1;
+    job.appended = 0;
+    job.worker = worker.into();
+    job.started_ms = Some(now);
+    let update = "UPDATE jobs SET state = ?, epoch = ?, attempt = ?, worker = ?, appended = 0, \
+                  lease_until_ms = ?, started_ms = ?, stage = '', fraction = 0 WHERE id = ?";
+    let update = sqlx::query(update).bind(job.state.name()).bind(job.epoch as i64);
+    let update = update.bind(job.attempt).bind(worker).bind(now + terms.lease.as_millis() as i64);
+    update.bind(now).bind(&job.id).execute(&mut **tx).await?;
+    let text = format!("attempt {} begins", job.attempt);
+    let entry = state_entry(&job, "CLAIMED", text);
+    log(tx, &mut job, now, &[entry]).await?;
+    Ok(job)
+}
+
+async fn succeed(tx: &mut Transaction<'static, Sqlite>, job: Job, files: &[String]) -> Result<Job> {
+    let query = "SELECT file FROM artifacts WHERE job = ? AND epoch = ?";
+    let query = sqlx::query_scalar::<_, String>(query).bind(&job.id).bind(job.epoch as i64);
+    let stored = query.fetch_all(&mut **tx).await?;
+    if let Some(missing) = files.iter().find(|file| !stored.contains(file)) {
+        let text = format!("`{missing}` was never stored: send it with PutArtifact first");
+        return Err(Error::invalid("succeeded.files", text));
+    }
+    for file in stored.iter().filter(|file| !files.contains(file)) {
+        let delete = "DELETE FROM artifacts WHERE job = ? AND epoch = ? AND file = ?";
+        let delete = sqlx::query(delete).bind(&job.id).bind(job.epoch as i64).bind(file);
+        delete.execute(&mut **tx).await?;
+    }
+    end(tx, job, Trigger::Succeed, "COMPLETED", format!("{} files are ready", files.len())).await
+}
+
+/// Moves a running job to a final state.
+async fn end(
+    tx: &mut Transaction<'static, Sqlite>,
+    mut job: Job,
+    trigger: Trigger,
+    reason: &str,
+    text: String,
+) -> Result<Job> {
+    let now = now_ms(tx).await?;
+    job.state = after(&job, trigger)?;
+    job.ended_ms = Some(now);
+    if trigger == Trigger::Fail {
+        job.failure = (reason.into(), text.clone());
+    }
+    if trigger == Trigger::Succeed {
+        job.fraction = 1.0;
+    }
+    let update = "UPDATE jobs SET state = ?, ended_ms = ?, failure_reason = ?, failure_text = ?, \
+                  fraction = ? WHERE id = ?";
+    let update = sqlx::query(update).bind(job.state.name()).bind(now).bind(&job.failure.0);
+    let update = update.bind(&job.failure.1).bind(job.fraction).bind(&job.id);
+    update.execute(&mut **tx).await?;
+    let entry = state_entry(&job, reason, text);
+    log(tx, &mut job, now, &[entry]).await?;
+    Ok(job)
+}
+
+async fn lose_all_of(
+    tx: &mut Transaction<'static, Sqlite>,
+    worker: &str,
+    loss: Loss,
+    max_lost: u32,
+) -> Result<Vec<Job>> {
+    let query = "SELECT * FROM jobs WHERE state = 'RUNNING' AND worker = ?";
+    let rows = sqlx::query(query).bind(worker).fetch_all(&mut **tx).await?;
+    let mut jobs = Vec::with_capacity(rows.len());
+    for row in &rows {
+        jobs.push(lose(tx, job_of(row)?, loss, "", max_lost).await?);
+    }
+    Ok(jobs)
+}
+
+/// Takes a lease away: the job starts over, or ends when it lost too many attempts or is unwanted.
+async fn lose(
+    tx: &mut Transaction<'static, Sqlite>,
+    mut job: Job,
+    loss: Loss,
+    detail: &str,
+    max_lost: u32,
+) -> Result<Job> {
+    job.lost += u32::from(loss.counts());
+    let update = sqlx::query("UPDATE jobs SET lost = ? WHERE id = ?");
+    update.bind(job.lost).bind(&job.id).execute(&mut **tx).await?;
+    let why = [loss.text(), detail].into_iter().filter(|s| !s.is_empty()).collect::<Vec<_>>();
+    let why = why.join(": ");
+    match verdict(job.lost, max_lost, job.cancel_requested) {
+        Trigger::Requeue => requeue(tx, job, loss, &why).await,
+        Trigger::Cancel => {
+            let text = format!("cancelled on request; {why}");
+            end(tx, job, Trigger::Cancel, "CANCELLED", text).await
+        }
+        trigger => {
+            let text = format!(
+                "{} attempts were lost, the last because {why}; see the log, then submit it again \
+                 with other settings or a repaired mesh",
+                job.lost
+            );
+            end(tx, job, trigger, "POISONED", text).await
+        }
+    }
+}
+
+async fn requeue(
+    tx: &mut Transaction<'static, Sqlite>,
+    mut job: Job,
+    loss: Loss,
+    why: &str,
+) -> Result<Job> {
+    let now = now_ms(tx).await?;
+    job.state = after(&job, Trigger::Requeue)?;
+    let text = format!("attempt {} was lost, because {why}; the job starts over", job.attempt);
+    let restarted = ServerEvent::Restarted {
+        rewind_to_seq: CREATED_SEQ,
+        lost_attempt: job.attempt,
+        reason: loss.reason().into(),
+        text: text.clone(),
+    };
+    let entries = [(Body::Server(restarted), None), state_entry(&job, loss.reason(), text)];
+    job.worker = String::new();
+    let update = "UPDATE jobs SET state = ?, worker = '', stage = '', fraction = 0 WHERE id = ?";
+    let update = sqlx::query(update).bind(job.state.name()).bind(&job.id);
+    update.execute(&mut **tx).await?;
+    log(tx, &mut job, now, &entries).await?;
+    Ok(job)
+}
+
+fn after(job: &Job, trigger: Trigger) -> Result<super::State> {
+    let remedy = "it cannot do that";
+    job.state.after(trigger).ok_or_else(|| Error::Illegal {
+        job: job.name(),
+        state: job.state,
+        remedy,
+    })
+}
+
+fn note_progress(job: &mut Job, entries: &[(Body, Option<SegmentRange>)]) {
+    let last = entries.iter().rev().find_map(|(body, _)| match body {
+        Body::Worker(Report::Progress { stage, fraction, .. }) => Some((stage, *fraction)),
+        _ => None,
+    });
+    if let Some((stage, fraction)) = last {
+        job.stage.clone_from(stage);
+        job.fraction = if fraction.is_finite() { fraction.clamp(0.0, 1.0) } else { 0.0 };
+    }
+}

@@ -1,0 +1,193 @@
+//! The objective of the image-driven stages: the energy of the pictures, and how a local edit of
+//! the mesh changes it.
+//!
+//! Turns planned edits ([`Collapse`]) into the evaluator's [`Move`]s. Flat shading redraws the
+//! triangles at both ends of the edge (T = ⌈⌈⌊e⌋⌉⌉); smooth shading also those of the ring, whose
+//! vertex normals change (Lindstrom & Turk 2000, section 5).
+
+use glam::DVec3;
+
+use crate::{
+    mesh::{Collapse, EditMesh, FaceId, Mesh, VertexId},
+    render::{
+        AddedFace, Evaluator, MAX_MOVE_VERTICES, Move, Reference, RenderError, RenderParams, Scene,
+        SceneFace, Shading, reference,
+        view::{BoundingSphere, View},
+    },
+};
+
+use super::albedo::Albedo;
+
+/// Pictures of the model being simplified, beside the original's.
+pub struct Objective {
+    scene: Scene,
+    evaluator: Box<dyn Evaluator>,
+    albedo: Albedo,
+    evaluations: u64,
+}
+
+/// Cameras and drawing of the run-time pictures.
+#[derive(Clone, Debug)]
+pub struct Pictures {
+    /// How they are drawn.
+    pub params: RenderParams,
+    /// From where.
+    pub views: Vec<View>,
+}
+
+/// Renders the original: once per job.
+pub fn reference_pictures(original: &Mesh, pictures: &Pictures) -> Reference {
+    reference(&scene_of(original, &Albedo::of(original), pictures, |_| true))
+}
+
+/// The bounding sphere of the vertices that some triangle uses.
+pub fn bounding_sphere(mesh: &Mesh) -> BoundingSphere {
+    let mut is_used = vec![false; mesh.positions.len()];
+    mesh.faces.iter().flatten().for_each(|v| is_used[*v as usize] = true);
+    BoundingSphere::of(
+        mesh.positions.iter().zip(is_used).filter_map(|(p, used)| used.then_some(*p)),
+    )
+}
+
+/// The current state of an editable mesh as a scene, to build an evaluator from.
+pub fn scene_of_edit_mesh(mesh: &EditMesh, pictures: &Pictures) -> Scene {
+    scene_of(mesh.mesh(), &Albedo::of(mesh.mesh()), pictures, |f| mesh.is_alive(FaceId(f)))
+}
+
+fn scene_of(
+    mesh: &Mesh,
+    albedo: &Albedo,
+    pictures: &Pictures,
+    is_alive: impl Fn(u32) -> bool,
+) -> Scene {
+    let faces = (0..mesh.faces.len() as u32)
+        .map(|f| {
+            is_alive(f).then(|| SceneFace {
+                vertices: mesh.faces[f as usize],
+                albedo: albedo.of_face(mesh, FaceId(f)),
+            })
+        })
+        .collect();
+    Scene::new(pictures.params.clone(), pictures.views.clone(), mesh.positions.clone(), faces)
+}
+
+impl Objective {
+    /// `evaluator` must have been built from `scene`, which shows `mesh` as it is now.
+    pub fn new(mesh: &EditMesh, scene: Scene, evaluator: Box<dyn Evaluator>) -> Self {
+        Self { scene, evaluator, albedo: Albedo::of(mesh.mesh()), evaluations: 0 }
+    }
+
+    /// Moves judged so far.
+    pub fn evaluations(&self) -> u64 {
+        self.evaluations
+    }
+
+    /// Sum of squared luminance differences over all pictures, 0..=255 units.
+    pub fn energy(&self) -> u64 {
+        self.evaluator.energy()
+    }
+
+    /// The papers' d2 on the run-time views: percent of full scale.
+    pub fn d2_percent(&self) -> f64 {
+        d2_percent(self.energy(), self.scene.n_pixels())
+    }
+
+    /// Who judges.
+    pub fn evaluator_name(&self) -> String {
+        self.evaluator.name()
+    }
+
+    /// The change of energy of each move.
+    pub fn evaluate(&mut self, moves: &[Move]) -> Result<Vec<i64>, RenderError> {
+        self.evaluations += moves.len() as u64;
+        self.evaluator.evaluate(&self.scene, moves)
+    }
+
+    /// Makes a move.
+    pub fn commit(&mut self, mv: &Move) -> Result<i64, RenderError> {
+        self.evaluator.commit(&mut self.scene, mv)
+    }
+
+    /// A collapse that `mesh` has not made yet, as a move. `None` when it touches more of the mesh
+    /// than one move may hold.
+    pub fn collapse_move(&self, mesh: &EditMesh, plan: &Collapse) -> Option<Move> {
+        let mut mv = Move::default();
+        mv.moved.push((plan.keep.0, plan.to));
+        let mut faces: Vec<FaceId> = mesh.faces_around(plan.keep).to_vec();
+        faces.extend_from_slice(mesh.faces_around(plan.drop));
+        let ring = match self.scene.params.shading {
+            Shading::Flat => Vec::new(),
+            Shading::Smooth => Self::widen_to_ring(mesh, plan, &mut faces),
+        };
+        faces.sort_unstable();
+        faces.dedup();
+        for face in faces {
+            mv.removed.push(face.0);
+            if let Some(added) = self.after_collapse(mesh, plan, face) {
+                mv.added.push(added);
+            }
+        }
+        for v in ring {
+            mv.normals.push((v.0, normal_after(mesh, plan, v)));
+        }
+        (mv.added.len() * 3 <= MAX_MOVE_VERTICES).then_some(mv)
+    }
+
+    /// Adds the triangles of every ring vertex; returns the vertices whose normals change.
+    fn widen_to_ring(mesh: &EditMesh, plan: &Collapse, faces: &mut Vec<FaceId>) -> Vec<VertexId> {
+        let mut ring: Vec<VertexId> = faces.iter().flat_map(|f| mesh.vertices_of(*f)).collect();
+        ring.sort_unstable();
+        ring.dedup();
+        ring.retain(|v| *v != plan.drop);
+        for v in &ring {
+            faces.extend_from_slice(mesh.faces_around(*v));
+        }
+        ring
+    }
+
+    /// A triangle as it will be after the collapse; `None` when the collapse removes it.
+    fn after_collapse(&self, mesh: &EditMesh, plan: &Collapse, face: FaceId) -> Option<AddedFace> {
+        let before = mesh.vertices_of(face);
+        if before.contains(&plan.keep) && before.contains(&plan.drop) {
+            return None;
+        }
+        let vertices = before.map(|v| if v == plan.drop { plan.keep.0 } else { v.0 });
+        let albedo = self.albedo.of_face_after(mesh, plan, face);
+        Some(AddedFace { face: face.0, vertices, albedo })
+    }
+
+    /// Tells the objective of a collapse that the mesh has made (new wedges have new albedos).
+    pub fn follow(&mut self, mesh: &EditMesh) {
+        self.albedo.extend(mesh.mesh());
+    }
+
+    /// The picture of one view now.
+    pub fn picture(&mut self, view: usize) -> Result<Vec<u8>, RenderError> {
+        self.evaluator.picture(&self.scene, view)
+    }
+}
+
+/// Area-weighted unit normal of a vertex after a planned collapse.
+fn normal_after(mesh: &EditMesh, plan: &Collapse, v: VertexId) -> DVec3 {
+    let place = |w: VertexId| {
+        if w == plan.keep || w == plan.drop { plan.to } else { mesh.position(w) }
+    };
+    let area = |f: &FaceId| {
+        let vertices = mesh.vertices_of(*f);
+        if vertices.contains(&plan.keep) && vertices.contains(&plan.drop) {
+            return DVec3::ZERO;
+        }
+        let p = vertices.map(place);
+        (p[1] - p[0]).cross(p[2] - p[0])
+    };
+    let mut sum: DVec3 = mesh.faces_around(v).iter().map(area).sum();
+    if v == plan.keep {
+        sum += mesh.faces_around(plan.drop).iter().map(area).sum::<DVec3>();
+    }
+    sum.normalize_or_zero()
+}
+
+/// d2 in percent of full scale from a sum of squared 8-bit differences over `n_pixels`.
+pub fn d2_percent(energy: u64, n_pixels: u64) -> f64 {
+    100.0 / 255.0 * (energy as f64 / n_pixels.max(1) as f64).sqrt()
+}

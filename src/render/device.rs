@@ -1,0 +1,161 @@
+//! Graphics adapters and the one device that a worker computes on.
+//!
+//! Invariants:
+//! 1. whatever a driver does wrong arrives as a [`RenderError`], never as a panic: errors that
+//!    wgpu reports out of turn are kept and returned by the next wait;
+//! 2. no wait is longer than [`WAIT_LIMIT`].
+//!
+//! Knows nothing of scenes or moves.
+
+use std::{
+    sync::{Arc, Mutex, PoisonError, mpsc},
+    time::Duration,
+};
+
+use super::evaluator::RenderError;
+
+/// The longest that the host waits for one submission: far beyond any, so that only a hung driver
+/// meets it.
+const WAIT_LIMIT: Duration = Duration::from_secs(60);
+
+/// What the host can tell of an adapter without opening it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct AdapterInfo {
+    /// The driver's name for it; `llvmpipe` is Mesa's lavapipe, the processor itself.
+    pub name: String,
+    /// `discrete gpu`, `integrated gpu`, `virtual gpu`, `cpu` or `other`.
+    pub kind: &'static str,
+    /// Driver and its version.
+    pub driver: String,
+    /// Why it cannot be used, if it cannot.
+    pub unfit: Option<String>,
+}
+
+/// Every Vulkan adapter of this machine, in the driver's order. Empty without a Vulkan driver.
+pub fn adapters() -> Vec<AdapterInfo> {
+    enumerate().iter().map(describe).collect()
+}
+
+/// A device, its queue, and what went wrong on it.
+pub(super) struct Gpu {
+    pub(super) device: wgpu::Device,
+    pub(super) queue: wgpu::Queue,
+    pub(super) info: AdapterInfo,
+    /// Bytes of one storage binding, at most.
+    pub(super) max_binding: u64,
+    fault: Arc<Mutex<Option<String>>>,
+}
+
+pub(super) fn enumerate() -> Vec<wgpu::Adapter> {
+    let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
+    descriptor.backends = wgpu::Backends::VULKAN;
+    descriptor.flags = wgpu::InstanceFlags::empty();
+    let instance = wgpu::Instance::new(descriptor);
+    pollster::block_on(instance.enumerate_adapters(wgpu::Backends::VULKAN))
+}
+
+pub(super) fn describe(adapter: &wgpu::Adapter) -> AdapterInfo {
+    let info = adapter.get_info();
+    let kind = match info.device_type {
+        wgpu::DeviceType::DiscreteGpu => "discrete gpu",
+        wgpu::DeviceType::IntegratedGpu => "integrated gpu",
+        wgpu::DeviceType::VirtualGpu => "virtual gpu",
+        wgpu::DeviceType::Cpu => "cpu",
+        wgpu::DeviceType::Other => "other",
+    };
+    let unfit = (!adapter.features().contains(wgpu::Features::IMMEDIATES))
+        .then(|| "it has no push constants".to_owned());
+    let driver = format!("{} {}", info.driver, info.driver_info);
+    AdapterInfo { name: info.name, kind, driver: driver.trim().to_owned(), unfit }
+}
+
+impl Gpu {
+    /// Opens an adapter with all that it allows.
+    pub(super) fn open(adapter: &wgpu::Adapter) -> Result<Self, RenderError> {
+        let info = describe(adapter);
+        if let Some(why) = &info.unfit {
+            return Err(RenderError::Device(format!("cannot use `{}`: {why}", info.name)));
+        }
+        let limits = adapter.limits();
+        let max_binding = limits.max_storage_buffer_binding_size;
+        let descriptor = wgpu::DeviceDescriptor {
+            label: Some("lookalike"),
+            required_features: wgpu::Features::IMMEDIATES,
+            required_limits: limits,
+            ..wgpu::DeviceDescriptor::default()
+        };
+        let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
+            .map_err(|e| RenderError::Device(format!("cannot open `{}`: {e}", info.name)))?;
+        let fault = Arc::new(Mutex::new(None));
+        let keep = |fault: &Arc<Mutex<Option<String>>>| {
+            let fault = fault.clone();
+            move |message: String| {
+                fault.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(message);
+            }
+        };
+        let on_error = keep(&fault);
+        device.on_uncaptured_error(Arc::new(move |e: wgpu::Error| on_error(e.to_string())));
+        let on_loss = keep(&fault);
+        device.set_device_lost_callback(move |reason, message| {
+            on_loss(format!("device lost ({reason:?}): {message}"));
+        });
+        Ok(Self { device, queue, info, max_binding, fault })
+    }
+
+    /// What went wrong since the device was opened.
+    pub(super) fn check(&self) -> Result<(), RenderError> {
+        let fault = self.fault.lock().unwrap_or_else(PoisonError::into_inner);
+        match &*fault {
+            None => Ok(()),
+            Some(message) => Err(RenderError::Device(message.clone())),
+        }
+    }
+
+    /// A buffer of `size` bytes (rounded up to a multiple of 16, and at least that).
+    pub(super) fn buffer(&self, label: &str, size: u64, usage: wgpu::BufferUsages) -> wgpu::Buffer {
+        self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(label),
+            size: size.max(1).next_multiple_of(16),
+            usage,
+            mapped_at_creation: false,
+        })
+    }
+
+    /// Waits for everything submitted so far.
+    pub(super) fn wait(&self) -> Result<(), RenderError> {
+        let waiting = wgpu::PollType::Wait { submission_index: None, timeout: Some(WAIT_LIMIT) };
+        let waited = self.device.poll(waiting);
+        self.check()?;
+        match waited {
+            Ok(_) => Ok(()),
+            Err(e) => Err(RenderError::Device(format!("no answer from the device: {e}"))),
+        }
+    }
+
+    /// Waits, then hands the first `size` bytes of a mappable buffer to `take`.
+    pub(super) fn read<T>(
+        &self,
+        buffer: &wgpu::Buffer,
+        size: u64,
+        take: impl FnOnce(&[u8]) -> T,
+    ) -> Result<T, RenderError> {
+        let (tell, told) = mpsc::sync_channel(1);
+        buffer.map_async(wgpu::MapMode::Read, 0..size, move |outcome| {
+            // Nobody listens any more when the wait below timed out.
+            let _ = tell.try_send(outcome);
+        });
+        self.wait()?;
+        let failed = |what: String| RenderError::Device(format!("cannot read back: {what}"));
+        match told.try_recv() {
+            Ok(Ok(())) => {}
+            Ok(Err(e)) => return Err(failed(e.to_string())),
+            Err(_) => return Err(failed("the device did not answer".into())),
+        }
+        let out = {
+            let view = buffer.get_mapped_range(0..size).map_err(|e| failed(e.to_string()))?;
+            take(&view)
+        };
+        buffer.unmap();
+        Ok(out)
+    }
+}

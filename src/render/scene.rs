@@ -1,0 +1,237 @@
+//! The model as the evaluators see it: triangles, their corners in every picture, and the light.
+//!
+//! Everything in floating point happens here, on the host, in f64 with + − × ÷ √ only; what leaves
+//! is integers ([`ScreenPoint`]s and 8-bit luminances). The native twin and the device share this
+//! code, so they cannot differ in it.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::{
+    lattice::{Lattice, ScreenPoint},
+    moves::Move,
+    view::View,
+};
+
+/// Surface shading.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Shading {
+    /// One normal a triangle.
+    #[default]
+    Flat,
+    /// Area-weighted vertex normals, luminance interpolated (Gouraud).
+    Smooth,
+}
+
+/// How pictures are drawn.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RenderParams {
+    /// Pixels along each side, 64 to 1024.
+    pub image_size: u32,
+    /// Flat or smooth.
+    pub shading: Shading,
+    /// Ambient light, 0 to 1; diffuse is the rest.
+    pub ambient: f64,
+    /// Background luminance, 0 to 255.
+    pub background: u8,
+    /// The first so many views cull front faces and so see the interior.
+    pub interior_views: usize,
+}
+
+/// One triangle of the scene.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SceneFace {
+    /// Vertex slots, in the mesh's corner order.
+    pub vertices: [u32; 3],
+    /// Albedo luminance at each corner.
+    pub albedo: [u8; 3],
+}
+
+/// The current model in every picture.
+#[derive(Clone, Debug)]
+pub struct Scene {
+    /// Drawing parameters.
+    pub params: RenderParams,
+    /// Cameras.
+    pub views: Vec<View>,
+    /// The raster.
+    pub lattice: Lattice,
+    /// Triangles by id; `None` where an edit removed one.
+    pub faces: Vec<Option<SceneFace>>,
+    /// Vertex positions by slot, model space.
+    positions: Vec<DVec3>,
+    /// Unit vertex normals by slot; empty when shading is flat.
+    normals: Vec<DVec3>,
+    /// Screen points, `n_views` for each vertex slot.
+    screen: Vec<ScreenPoint>,
+}
+
+impl Scene {
+    /// A scene of the given triangles. `positions` are by vertex slot.
+    pub fn new(
+        params: RenderParams,
+        views: Vec<View>,
+        positions: Vec<DVec3>,
+        faces: Vec<Option<SceneFace>>,
+    ) -> Self {
+        let lattice = Lattice::new(params.image_size);
+        let screen = positions
+            .par_iter()
+            .flat_map_iter(|p| views.iter().map(move |v| lattice.snap(v.project(*p))))
+            .collect();
+        let normals = match params.shading {
+            Shading::Flat => Vec::new(),
+            Shading::Smooth => vertex_normals(&positions, &faces),
+        };
+        Self { params, views, lattice, faces, positions, normals, screen }
+    }
+
+    /// Number of pictures.
+    pub fn n_views(&self) -> usize {
+        self.views.len()
+    }
+
+    /// Pixels in all pictures.
+    pub fn n_pixels(&self) -> u64 {
+        u64::from(self.params.image_size).pow(2) * self.n_views() as u64
+    }
+
+    /// Position of a vertex slot, model space.
+    pub fn position(&self, vertex: u32) -> DVec3 {
+        self.positions[vertex as usize]
+    }
+
+    /// The screen points of a vertex slot, one a view.
+    pub fn screen_points(&self, vertex: u32) -> &[ScreenPoint] {
+        let n = self.n_views();
+        &self.screen[vertex as usize * n..][..n]
+    }
+
+    /// Screen points of a position that is not (yet) a vertex, one a view.
+    pub fn project(&self, p: DVec3) -> impl Iterator<Item = ScreenPoint> + '_ {
+        self.views.iter().map(move |v| self.lattice.snap(v.project(p)))
+    }
+
+    /// Whether this view culls front faces.
+    pub fn culls_front(&self, view: usize) -> bool {
+        view < self.params.interior_views
+    }
+
+    /// Luminances at the corners of a triangle that is in the scene.
+    pub fn face_luminance(&self, view: usize, face: &SceneFace) -> [u8; 3] {
+        let p = face.vertices.map(|v| self.positions[v as usize]);
+        let shape = FaceShape::new(p);
+        match self.params.shading {
+            Shading::Flat => self.flat_luminance(view, &shape, face.albedo),
+            Shading::Smooth => {
+                let n = face.vertices.map(|v| self.normals[v as usize]);
+                self.smooth_luminance(view, &shape, p, n, face.albedo)
+            }
+        }
+    }
+
+    /// One luminance for the whole triangle (times the albedo of each corner).
+    #[inline]
+    pub fn flat_luminance(&self, view: usize, shape: &FaceShape, albedo: [u8; 3]) -> [u8; 3] {
+        let v = &self.views[view];
+        let side = if v.sees_front(shape.centroid, shape.unit_normal) { 1.0 } else { -1.0 };
+        let shade = self.shade(side * shape.unit_normal.dot(v.to_light));
+        albedo.map(|a| to_u8(shade * f64::from(a)))
+    }
+
+    /// Gouraud luminances: both sides are lit, the side that faces the viewer is the triangle's.
+    #[inline]
+    pub fn smooth_luminance(
+        &self,
+        view: usize,
+        shape: &FaceShape,
+        corners: [DVec3; 3],
+        normals: [DVec3; 3],
+        albedo: [u8; 3],
+    ) -> [u8; 3] {
+        let v = &self.views[view];
+        std::array::from_fn(|k| {
+            let side = if v.sees_front(corners[k], shape.unit_normal) { 1.0 } else { -1.0 };
+            to_u8(self.shade(side * normals[k].dot(v.to_light)) * f64::from(albedo[k]))
+        })
+    }
+
+    /// Unit normal of a vertex slot (smooth shading only).
+    pub fn normal(&self, vertex: u32) -> DVec3 {
+        self.normals.get(vertex as usize).copied().unwrap_or(DVec3::ZERO)
+    }
+
+    /// Ambient plus diffuse, 0 to 1.
+    #[inline]
+    fn shade(&self, cosine: f64) -> f64 {
+        self.params.ambient + (1.0 - self.params.ambient) * cosine.max(0.0)
+    }
+
+    /// Applies an edit to the triangles, positions and screen points.
+    pub fn apply(&mut self, mv: &Move) {
+        for f in &mv.removed {
+            self.faces[*f as usize] = None;
+        }
+        for a in &mv.added {
+            self.faces[a.face as usize] =
+                Some(SceneFace { vertices: a.vertices, albedo: a.albedo });
+        }
+        let n = self.n_views();
+        for (vertex, p) in &mv.moved {
+            let slot = *vertex as usize;
+            if slot >= self.positions.len() {
+                self.positions.resize(slot + 1, DVec3::ZERO);
+                self.screen.resize((slot + 1) * n, ScreenPoint::default());
+            }
+            self.positions[slot] = *p;
+            for view in 0..n {
+                self.screen[slot * n + view] = self.lattice.snap(self.views[view].project(*p));
+            }
+        }
+        for (vertex, normal) in &mv.normals {
+            let slot = *vertex as usize;
+            if slot >= self.normals.len() {
+                self.normals.resize(slot + 1, DVec3::ZERO);
+            }
+            self.normals[slot] = *normal;
+        }
+    }
+}
+
+/// What flat shading needs of a triangle, model space.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct FaceShape {
+    /// Mean of the corners.
+    pub centroid: DVec3,
+    /// Unit normal, zero for a degenerate triangle.
+    pub unit_normal: DVec3,
+}
+
+impl FaceShape {
+    /// Of the triangle with these corners.
+    pub fn new(p: [DVec3; 3]) -> Self {
+        Self {
+            centroid: (p[0] + p[1] + p[2]) / 3.0,
+            unit_normal: (p[1] - p[0]).cross(p[2] - p[0]).normalize_or_zero(),
+        }
+    }
+}
+
+/// Rounds 0..=255 to the nearest integer.
+#[inline]
+fn to_u8(v: f64) -> u8 {
+    (v.clamp(0.0, 255.0) + 0.5) as u8
+}
+
+/// Area-weighted unit vertex normals.
+fn vertex_normals(positions: &[DVec3], faces: &[Option<SceneFace>]) -> Vec<DVec3> {
+    let mut sums = vec![DVec3::ZERO; positions.len()];
+    for face in faces.iter().flatten() {
+        let p = face.vertices.map(|v| positions[v as usize]);
+        let area = (p[1] - p[0]).cross(p[2] - p[0]);
+        for v in face.vertices {
+            sums[v as usize] += area;
+        }
+    }
+    sums.into_iter().map(DVec3::normalize_or_zero).collect()
+}

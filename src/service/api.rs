@@ -1,0 +1,240 @@
+//! The public API: `lookalike.v1.LookalikeService`.
+
+use std::pin::Pin;
+
+use base64::{Engine, engine::general_purpose::URL_SAFE_NO_PAD};
+use futures::{Stream, StreamExt, TryStreamExt, stream};
+use prost::bytes::Bytes;
+use tokio_util::sync::CancellationToken;
+use tonic::{Request, Response, Status, Streaming};
+
+use super::{convert, proto::v1, status, status::status_of, transfer};
+use crate::jobs::{
+    Jobs,
+    clients::{Announced, StoredMesh},
+    state::State,
+    store::NewJob,
+};
+
+/// Jobs on a page when the client does not say.
+const PAGE: u32 = 100;
+const MAX_PAGE: u32 = 1000;
+
+/// Serves clients.
+#[derive(Clone, Debug)]
+pub(super) struct Api {
+    /// The data directory.
+    pub jobs: Jobs,
+    /// Ends open streams.
+    pub shutdown: CancellationToken,
+}
+
+type BoxStream<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
+
+#[tonic::async_trait]
+impl v1::lookalike_service_server::LookalikeService for Api {
+    async fn upload_mesh(
+        &self,
+        request: Request<Streaming<v1::UploadMeshRequest>>,
+    ) -> Result<Response<v1::UploadMeshResponse>, Status> {
+        let mut parts = request.into_inner();
+        let first = parts.message().await?.and_then(|message| message.part);
+        let Some(v1::upload_mesh_request::Part::Header(header)) = first else {
+            return Err(status::invalid("part", "the first message must be the header"));
+        };
+        let known = self.jobs.find_mesh(&header.blake3).await.map_err(|e| status_of(&e))?;
+        let mesh = if let Some(mesh) = known {
+            mesh
+        } else {
+            let announced = Announced { size: header.size, hash: header.blake3 };
+            let put = |chunks| self.jobs.put_mesh(announced, chunks);
+            transfer::receive(parts, mesh_chunk, put).await?
+        };
+        tracing::info!(mesh = mesh.hash, bytes = mesh.size, existed = mesh.existed, "mesh stored");
+        let StoredMesh { hash, size, existed } = mesh;
+        let mesh = convert::mesh_name(&hash);
+        Ok(Response::new(v1::UploadMeshResponse { mesh, size, existed }))
+    }
+
+    async fn create_job(
+        &self,
+        request: Request<v1::CreateJobRequest>,
+    ) -> Result<Response<v1::CreateJobResponse>, Status> {
+        let request = request.into_inner();
+        let (spec, faults) = convert::spec_from_wire(request.spec);
+        let new = NewJob {
+            request_id: request.request_id,
+            mesh: convert::mesh_hash(&request.mesh),
+            file_name: request.file_name,
+            spec,
+        };
+        let job = self.jobs.create(new, faults).await.map_err(|e| status_of(&e))?;
+        tracing::info!(job = job.id, state = %job.state, "job created");
+        Ok(Response::new(v1::CreateJobResponse { job: Some(convert::job_to_wire(&job)) }))
+    }
+
+    async fn get_job(
+        &self,
+        request: Request<v1::GetJobRequest>,
+    ) -> Result<Response<v1::GetJobResponse>, Status> {
+        let id = convert::job_id("name", &request.into_inner().name)?;
+        let job = self.jobs.job(&id).await.map_err(|e| status_of(&e))?;
+        Ok(Response::new(v1::GetJobResponse { job: Some(convert::job_to_wire(&job)) }))
+    }
+
+    async fn list_jobs(
+        &self,
+        request: Request<v1::ListJobsRequest>,
+    ) -> Result<Response<v1::ListJobsResponse>, Status> {
+        let request = request.into_inner();
+        let states = read_states(&request.states)?;
+        let before = read_token(&request.page_token, &states)?;
+        let limit = if request.page_size == 0 { PAGE } else { request.page_size.min(MAX_PAGE) };
+        // One more than asked for tells whether there is a next page.
+        let found = self.jobs.list(&states, before, limit + 1).await;
+        let mut jobs = found.map_err(|e| status_of(&e))?;
+        let more = jobs.len() > limit as usize;
+        jobs.truncate(limit as usize);
+        let last = jobs.last().filter(|_| more);
+        let next_page_token = last.map(|job| write_token(job.n, &states)).unwrap_or_default();
+        let jobs = jobs.iter().map(convert::job_to_wire).collect();
+        Ok(Response::new(v1::ListJobsResponse { jobs, next_page_token }))
+    }
+
+    type WatchJobStream = BoxStream<v1::WatchJobResponse>;
+
+    async fn watch_job(
+        &self,
+        request: Request<v1::WatchJobRequest>,
+    ) -> Result<Response<Self::WatchJobStream>, Status> {
+        let request = request.into_inner();
+        let id = convert::job_id("name", &request.name)?;
+        // A missing job is the answer to the call, not the first item of the stream.
+        self.jobs.job(&id).await.map_err(|e| status_of(&e))?;
+        let log = self.jobs.follow(&id, request.after_seq).map_err(|e| status_of(&e));
+        let answers =
+            log.map_ok(|event| v1::WatchJobResponse { event: Some(convert::event_to_wire(event)) });
+        Ok(Response::new(until(answers, self.shutdown.clone())))
+    }
+
+    async fn cancel_job(
+        &self,
+        request: Request<v1::CancelJobRequest>,
+    ) -> Result<Response<v1::CancelJobResponse>, Status> {
+        let id = convert::job_id("name", &request.into_inner().name)?;
+        let job = self.jobs.cancel(&id).await.map_err(|e| status_of(&e))?;
+        tracing::info!(job = id, state = %job.state, "cancellation requested");
+        Ok(Response::new(v1::CancelJobResponse { job: Some(convert::job_to_wire(&job)) }))
+    }
+
+    async fn delete_job(
+        &self,
+        request: Request<v1::DeleteJobRequest>,
+    ) -> Result<Response<v1::DeleteJobResponse>, Status> {
+        let request = request.into_inner();
+        let id = convert::job_id("name", &request.name)?;
+        match self.jobs.delete(&id).await {
+            Err(crate::jobs::error::Error::NotFound(_)) if request.allow_missing => {}
+            deleted => deleted.map_err(|e| status_of(&e))?,
+        }
+        tracing::info!(job = id, "job deleted");
+        Ok(Response::new(v1::DeleteJobResponse {}))
+    }
+
+    async fn list_artifacts(
+        &self,
+        request: Request<v1::ListArtifactsRequest>,
+    ) -> Result<Response<v1::ListArtifactsResponse>, Status> {
+        let id = convert::job_id("parent", &request.into_inner().parent)?;
+        let artifacts = self.jobs.artifacts(&id).await.map_err(|e| status_of(&e))?;
+        let artifacts = artifacts.iter().map(|a| convert::artifact_to_wire(&id, a)).collect();
+        Ok(Response::new(v1::ListArtifactsResponse { artifacts }))
+    }
+
+    type ReadArtifactStream = BoxStream<v1::ReadArtifactResponse>;
+
+    async fn read_artifact(
+        &self,
+        request: Request<v1::ReadArtifactRequest>,
+    ) -> Result<Response<Self::ReadArtifactStream>, Status> {
+        let request = request.into_inner();
+        let (id, file) = convert::artifact_id("name", &request.name)?;
+        let (artifact, path) = self.jobs.artifact(&id, &file).await.map_err(|e| status_of(&e))?;
+        if request.offset > artifact.size {
+            let text =
+                format!("{} is past the end: the file has {} bytes", request.offset, artifact.size);
+            return Err(status::invalid("offset", text));
+        }
+        let limit = if request.limit == 0 { u64::MAX } else { request.limit };
+        let bytes = transfer::send(path, request.offset, limit).await.map_err(|e| status_of(&e))?;
+        let head = v1::ReadArtifactResponse {
+            artifact: Some(convert::artifact_to_wire(&id, &artifact)),
+            data: Bytes::new(),
+        };
+        let body = bytes.map_ok(|data| v1::ReadArtifactResponse { artifact: None, data });
+        let answers = stream::iter([Ok(head)]).chain(body.map_err(|e| status_of(&e)));
+        Ok(Response::new(until(answers, self.shutdown.clone())))
+    }
+}
+
+/// A stream that a shutdown ends with a status of its own, so that clients know to come back.
+pub(super) fn until<T: Send + 'static>(
+    answers: impl Stream<Item = Result<T, Status>> + Send + 'static,
+    shutdown: CancellationToken,
+) -> BoxStream<T> {
+    let ended = shutdown.clone().cancelled_owned();
+    let goodbye = stream::once(async move { shutdown.is_cancelled() })
+        .filter_map(|cut| async move { cut.then(|| Err(status::shutting_down())) });
+    Box::pin(answers.take_until(ended).chain(goodbye))
+}
+
+fn mesh_chunk(message: v1::UploadMeshRequest) -> Option<Bytes> {
+    match message.part {
+        Some(v1::upload_mesh_request::Part::Chunk(chunk)) => Some(chunk),
+        _ => None,
+    }
+}
+
+fn read_states(wire: &[i32]) -> Result<Vec<State>, Status> {
+    let text = |state| format!("{state} is no state that a job can be in");
+    let read = |&state| {
+        convert::state_from_wire(state).ok_or_else(|| status::invalid("states", text(state)))
+    };
+    wire.iter().map(read).collect()
+}
+
+/// Where the next page begins, and for which filter.
+fn write_token(before: i64, states: &[State]) -> String {
+    let states: Vec<_> = states.iter().map(|state| state.name()).collect();
+    URL_SAFE_NO_PAD.encode(format!("{before} {}", states.join(" ")))
+}
+
+fn read_token(token: &str, states: &[State]) -> Result<Option<i64>, Status> {
+    if token.is_empty() {
+        return Ok(None);
+    }
+    let fault = |text: &str| status::invalid("page_token", text);
+    let text = URL_SAFE_NO_PAD.decode(token).ok().and_then(|bytes| String::from_utf8(bytes).ok());
+    let before = text.as_deref().and_then(|text| text.split(' ').next()?.parse().ok());
+    let before: i64 = before.ok_or_else(|| fault("not a token of this server: start over"))?;
+    if write_token(before, states) != token {
+        return Err(fault("it belongs to a list with other states: start over"));
+    }
+    Ok(Some(before))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn page_tokens_remember_their_filter() {
+        let states = [State::Queued, State::Failed];
+        let token = write_token(42, &states);
+        assert_eq!(read_token(&token, &states).unwrap(), Some(42));
+        assert!(read_token(&token, &states[..1]).is_err());
+        assert!(read_token("@", &[]).is_err());
+        assert!(read_token("YWJj", &[]).is_err());
+        assert_eq!(read_token("", &states).unwrap(), None);
+    }
+}

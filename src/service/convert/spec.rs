@@ -1,0 +1,190 @@
+//! The specification of a job, to and from the wire.
+
+use super::v1;
+use crate::jobs::spec::{Effort, Fault, Method, Projection, Render, Shading, Spec};
+
+const METHODS: [(v1::Method, Method); 2] =
+    [(v1::Method::Image, Method::Image), (v1::Method::Memoryless, Method::Memoryless)];
+
+const EFFORTS: [(v1::Effort, Effort); 3] = [
+    (v1::Effort::Fast, Effort::Fast),
+    (v1::Effort::Balanced, Effort::Balanced),
+    (v1::Effort::Best, Effort::Best),
+];
+
+const SHADINGS: [(v1::Shading, Shading); 2] =
+    [(v1::Shading::Flat, Shading::Flat), (v1::Shading::Smooth, Shading::Smooth)];
+
+const PROJECTIONS: [(v1::Projection, Projection); 2] = [
+    (v1::Projection::Perspective, Projection::Perspective),
+    (v1::Projection::Orthographic, Projection::Orthographic),
+];
+
+/// Where a field of a create request is found on the wire: one level deeper than in
+/// [`crate::jobs`], and under another name where ours is a reserved word in a client's language.
+pub fn field_on_wire(field: &str) -> String {
+    match field.strip_prefix("spec.") {
+        Some("lambda") => "spec.simplify.surface_weight".into(),
+        Some(inner) => format!("spec.simplify.{inner}"),
+        None => field.into(),
+    }
+}
+
+/// A specification on the wire, with every default written out.
+pub fn spec_to_wire(spec: &Spec) -> v1::JobSpec {
+    let simplify = v1::SimplifySpec {
+        triangles: spec.triangles.clone(),
+        method: to_wire(&METHODS, spec.method),
+        effort: to_wire(&EFFORTS, spec.effort),
+        start_factor: Some(spec.start_factor),
+        surface_weight: Some(spec.lambda),
+        render: Some(render_to_wire(&spec.render)),
+        max_evaluations: spec.max_evaluations,
+        max_secs: spec.max_secs,
+        seed: spec.seed,
+    };
+    v1::JobSpec { kind: Some(v1::job_spec::Kind::Simplify(simplify)) }
+}
+
+fn render_to_wire(render: &Render) -> v1::RenderSpec {
+    let direction = |&[x, y, z]: &[f64; 3]| v1::Direction { x, y, z };
+    v1::RenderSpec {
+        n_views: Some(render.n_views),
+        custom_views: render.custom_views.iter().map(direction).collect(),
+        image_size: Some(render.image_size),
+        fov_degrees: Some(render.fov_degrees),
+        projection: to_wire(&PROJECTIONS, render.projection),
+        background: Some(render.background),
+        ambient: Some(render.ambient),
+        light_degrees: Some(render.light_degrees),
+        shading: to_wire(&SHADINGS, render.shading),
+        interior_views: render.interior_views,
+    }
+}
+
+/// A specification from the wire, and what could not be read (the values are not judged here).
+pub fn spec_from_wire(wire: Option<v1::JobSpec>) -> (Spec, Vec<Fault>) {
+    let mut faults = Vec::new();
+    let Some(v1::job_spec::Kind::Simplify(wire)) = wire.and_then(|spec| spec.kind) else {
+        let text = "missing, or of a kind this server does not know: use `simplify`".into();
+        faults.push(Fault { field: "spec".into(), text });
+        return (Spec::new(vec![1]), faults);
+    };
+    let default = Spec::new(wire.triangles);
+    let spec = Spec {
+        method: from_wire(&METHODS, wire.method, "method", &mut faults),
+        effort: from_wire(&EFFORTS, wire.effort, "effort", &mut faults),
+        start_factor: wire.start_factor.unwrap_or(default.start_factor),
+        lambda: wire.surface_weight.unwrap_or(default.lambda),
+        render: render_from_wire(&wire.render.unwrap_or_default(), &mut faults),
+        max_evaluations: wire.max_evaluations,
+        max_secs: wire.max_secs,
+        seed: wire.seed,
+        triangles: default.triangles,
+    };
+    (spec, faults)
+}
+
+fn render_from_wire(wire: &v1::RenderSpec, faults: &mut Vec<Fault>) -> Render {
+    let default = Render::default();
+    Render {
+        n_views: wire.n_views.unwrap_or(default.n_views),
+        custom_views: wire.custom_views.iter().map(|d| [d.x, d.y, d.z]).collect(),
+        image_size: wire.image_size.unwrap_or(default.image_size),
+        fov_degrees: wire.fov_degrees.unwrap_or(default.fov_degrees),
+        projection: from_wire(&PROJECTIONS, wire.projection, "render.projection", faults),
+        background: wire.background.unwrap_or(default.background),
+        ambient: wire.ambient.unwrap_or(default.ambient),
+        light_degrees: wire.light_degrees.unwrap_or(default.light_degrees),
+        shading: from_wire(&SHADINGS, wire.shading, "render.shading", faults),
+        interior_views: wire.interior_views,
+    }
+}
+
+fn to_wire<W: Copy + Into<i32>, D: Copy + PartialEq>(table: &[(W, D)], ours: D) -> i32 {
+    table.iter().find(|(_, d)| *d == ours).map_or(0, |(wire, _)| (*wire).into())
+}
+
+/// UNSPECIFIED, which is 0 everywhere, is the default.
+fn from_wire<W: Copy + Into<i32>, D: Copy + Default>(
+    table: &[(W, D)],
+    wire: i32,
+    field: &str,
+    faults: &mut Vec<Fault>,
+) -> D {
+    let row = table.iter().find(|(w, _)| (*w).into() == wire);
+    if row.is_none() && wire != 0 {
+        let text = format!("{wire} is no value this server knows");
+        faults.push(Fault { field: format!("spec.{field}"), text });
+    }
+    row.map(|(_, ours)| *ours).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn pick<T: Copy + std::fmt::Debug, W: Copy + std::fmt::Debug>(
+        table: &'static [(W, T)],
+    ) -> impl Strategy<Value = T> {
+        (0..table.len()).prop_map(move |i| table[i].1)
+    }
+
+    fn spec() -> impl Strategy<Value = Spec> {
+        let numbers = prop::array::uniform6(0.0..1e3f64);
+        let words = (pick(&METHODS), pick(&EFFORTS), pick(&SHADINGS), pick(&PROJECTIONS));
+        let views = prop::collection::vec(prop::array::uniform3(-1.0..1.0f64), 0..3);
+        let counts = (prop::collection::vec(any::<u32>(), 0..4), prop::array::uniform3(0..99u32));
+        (numbers, words, views, counts, any::<u64>(), any::<u64>()).prop_map(
+            |(x, words, custom_views, (triangles, n), seed, max_evaluations)| Spec {
+                triangles,
+                method: words.0,
+                effort: words.1,
+                start_factor: x[0],
+                lambda: x[1],
+                render: Render {
+                    n_views: n[0],
+                    custom_views,
+                    image_size: n[1],
+                    fov_degrees: x[2],
+                    projection: words.3,
+                    background: x[3],
+                    ambient: x[4],
+                    light_degrees: x[5],
+                    shading: words.2,
+                    interior_views: n[2],
+                },
+                max_evaluations,
+                max_secs: x[0] / 3.0,
+                seed,
+            },
+        )
+    }
+
+    proptest! {
+        #[test]
+        fn specifications_survive_the_wire(spec in spec()) {
+            prop_assert_eq!(spec_from_wire(Some(spec_to_wire(&spec))), (spec, vec![]));
+        }
+    }
+
+    #[test]
+    fn what_is_left_out_takes_the_default() {
+        let simplify = v1::SimplifySpec { triangles: vec![7], ..Default::default() };
+        let wire = v1::JobSpec { kind: Some(v1::job_spec::Kind::Simplify(simplify)) };
+        assert_eq!(spec_from_wire(Some(wire)), (Spec::new(vec![7]), vec![]));
+    }
+
+    #[test]
+    fn unknown_words_are_faults() {
+        let mut wire = spec_to_wire(&Spec::new(vec![7]));
+        if let Some(v1::job_spec::Kind::Simplify(simplify)) = &mut wire.kind {
+            simplify.method = 99;
+            simplify.effort = -1;
+        }
+        let fields: Vec<_> = spec_from_wire(Some(wire)).1.into_iter().map(|f| f.field).collect();
+        assert_eq!(fields, ["spec.method", "spec.effort"]);
+        assert_eq!(spec_from_wire(None).1.len(), 1);
+    }
+}

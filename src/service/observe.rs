@@ -1,0 +1,158 @@
+//! What the server counts: claims, losses, evaluations, stage times, energy.
+//!
+//! Workers report running totals; this turns them into counters. Batches that are sent again are
+//! recognised by their index and not counted twice. A lost attempt's work stays counted: it was done.
+
+use std::{
+    collections::BTreeMap,
+    sync::{Mutex, PoisonError},
+};
+
+use metrics::{counter, describe_counter, describe_gauge, gauge};
+
+use crate::jobs::{
+    event::{EnergySample, Report},
+    lease::Lease,
+    state::State,
+    store::Job,
+};
+
+/// What was last heard of an attempt.
+#[derive(Debug, Default)]
+struct Heard {
+    epoch: u64,
+    n_events: u64,
+    stage: String,
+    evaluations: u64,
+    seconds: f64,
+}
+
+/// Counts what workers report.
+#[derive(Debug, Default)]
+pub struct Observer {
+    attempts: Mutex<BTreeMap<String, Heard>>,
+}
+
+impl Observer {
+    /// A new observer; describes the metrics to the recorder, if there is one.
+    pub fn new() -> Self {
+        describe_gauge!("lookalike_jobs", "Jobs by state");
+        describe_counter!("lookalike_claims_total", "Attempts begun");
+        describe_counter!("lookalike_lost_attempts_total", "Attempts lost");
+        describe_counter!("lookalike_ended_jobs_total", "Jobs ended, by state");
+        describe_counter!("lookalike_evaluations_total", "Energy evaluations, by stage");
+        describe_gauge!("lookalike_stage_seconds", "Seconds spent, by stage");
+        describe_gauge!("lookalike_evaluations_per_second", "Latest rate, by stage");
+        describe_gauge!("lookalike_energy", "Latest energy, sum of squared luminance differences");
+        describe_gauge!("lookalike_d2_percent", "Latest d2, percent of full scale");
+        Self::default()
+    }
+
+    /// An attempt began.
+    pub fn claimed(&self) {
+        counter!("lookalike_claims_total").increment(1);
+    }
+
+    /// Attempts were lost without a word from their workers.
+    pub fn lost(&self, jobs: &[Job]) {
+        for job in jobs {
+            tracing::warn!(job = job.id, attempt = job.attempt, state = %job.state, "attempt lost");
+            self.ended(job);
+        }
+    }
+
+    /// An attempt ended and its job is now as given.
+    pub fn ended(&self, job: &Job) {
+        self.attempts.lock().unwrap_or_else(PoisonError::into_inner).remove(&job.id);
+        if job.state == State::Queued || job.failure.0 == "POISONED" {
+            counter!("lookalike_lost_attempts_total").increment(1);
+        }
+        if job.state.is_final() {
+            counter!("lookalike_ended_jobs_total", "state" => job.state.name()).increment(1);
+        }
+    }
+
+    /// How many jobs are in each state.
+    pub fn depth(&self, counts: &[(State, u64)]) {
+        for (state, count) in counts {
+            gauge!("lookalike_jobs", "state" => state.name()).set(*count as f64);
+        }
+    }
+
+    /// A batch of reports came; `first` is the number of its first event in the attempt.
+    pub fn reported(&self, lease: &Lease, first: u64, reports: &[Report]) {
+        let mut attempts = self.attempts.lock().unwrap_or_else(PoisonError::into_inner);
+        let heard = attempts.entry(lease.job.clone()).or_default();
+        if heard.epoch != lease.epoch {
+            *heard = Heard { epoch: lease.epoch, ..Heard::default() };
+        }
+        let known = heard.n_events.saturating_sub(first) as usize;
+        heard.n_events = heard.n_events.max(first + reports.len() as u64);
+        for report in reports.iter().skip(known) {
+            if let Report::Sample(sample) = report {
+                heard.count(sample);
+            }
+        }
+    }
+}
+
+impl Heard {
+    fn count(&mut self, sample: &EnergySample) {
+        if self.stage != sample.stage {
+            // Evaluations count from the stage's beginning, seconds from the attempt's.
+            self.stage.clone_from(&sample.stage);
+            self.evaluations = 0;
+        }
+        let n_evaluations = sample.evaluations.saturating_sub(self.evaluations);
+        let seconds = (sample.seconds - self.seconds).max(0.0);
+        let stage = || sample.stage.clone();
+        counter!("lookalike_evaluations_total", "stage" => stage()).increment(n_evaluations);
+        // Counters are whole numbers; a gauge that only grows serves for the fractions.
+        gauge!("lookalike_stage_seconds", "stage" => stage()).increment(seconds);
+        if seconds > 0.0 && n_evaluations > 0 {
+            let rate = n_evaluations as f64 / seconds;
+            gauge!("lookalike_evaluations_per_second", "stage" => stage()).set(rate);
+        }
+        if let Some(energy) = sample.energy {
+            gauge!("lookalike_energy").set(energy as f64);
+        }
+        if let Some(d2) = sample.d2 {
+            gauge!("lookalike_d2_percent").set(d2);
+        }
+        self.evaluations = sample.evaluations;
+        self.seconds = sample.seconds;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sample(evaluations: u64, seconds: f64) -> Report {
+        Report::Sample(EnergySample {
+            stage: "image".into(),
+            evaluations,
+            seconds,
+            triangles: 1,
+            energy: None,
+            d2: None,
+        })
+    }
+
+    #[test]
+    fn repeated_batches_count_once() {
+        let recorder = metrics_exporter_prometheus::PrometheusBuilder::new().build_recorder();
+        let page = recorder.handle();
+        metrics::with_local_recorder(&recorder, || {
+            let observer = Observer::new();
+            let lease = Lease { job: "a".into(), epoch: 1, worker: "w".into() };
+            observer.reported(&lease, 0, &[sample(100, 1.0), sample(300, 2.0)]);
+            observer.reported(&lease, 0, &[sample(100, 1.0), sample(300, 2.0)]);
+            observer.reported(&lease, 2, &[sample(400, 4.0)]);
+        });
+        let page = page.render();
+        assert!(page.contains("lookalike_evaluations_total{stage=\"image\"} 400"), "{page}");
+        assert!(page.contains("lookalike_stage_seconds{stage=\"image\"} 4"), "{page}");
+        assert!(page.contains("lookalike_evaluations_per_second{stage=\"image\"} 50"), "{page}");
+    }
+}

@@ -1,0 +1,83 @@
+//! The gRPC server: both APIs, health and reflection on one port, until told to stop.
+
+use std::{sync::Arc, time::Duration};
+
+use futures::future::BoxFuture;
+use tokio::net::TcpListener;
+use tokio_util::sync::CancellationToken;
+use tonic::transport::{Server, server::TcpIncoming};
+
+use super::{
+    api::Api,
+    observe::Observer,
+    proto::{
+        DESCRIPTORS, v1::lookalike_service_server::LookalikeServiceServer,
+        worker::v1::worker_service_server::WorkerServiceServer,
+    },
+    worker_api::WorkerApi,
+};
+use crate::jobs::Jobs;
+
+/// Largest message received: a batch of events with one large record chunk, and room to spare.
+pub const MAX_MESSAGE_BYTES: usize = 16 << 20;
+
+/// The server could not be set up, or its socket failed.
+#[derive(Debug, thiserror::Error)]
+pub enum ServeError {
+    /// The protos and the binary disagree.
+    #[error("the reflection service cannot be built: {0}")]
+    Reflection(#[from] tonic_reflection::server::Error),
+    /// The socket failed.
+    #[error("the gRPC socket failed: {0}")]
+    Transport(#[from] tonic::transport::Error),
+}
+
+/// Serves `jobs` on `listener` until `shutdown`, then waits for open calls. Give it a deadline from
+/// outside: peers that never close can hold hyper's graceful shutdown for an hour.
+///
+/// Boxed, so that the server is compiled with this crate and not again with every user of it.
+pub fn serve(
+    listener: TcpListener,
+    jobs: Jobs,
+    observer: Arc<Observer>,
+    shutdown: CancellationToken,
+) -> BoxFuture<'static, Result<(), ServeError>> {
+    Box::pin(run(listener, jobs, observer, shutdown))
+}
+
+async fn run(
+    listener: TcpListener,
+    jobs: Jobs,
+    observer: Arc<Observer>,
+    shutdown: CancellationToken,
+) -> Result<(), ServeError> {
+    let api = Api { jobs: jobs.clone(), shutdown: shutdown.clone() };
+    let worker_api = WorkerApi { jobs, shutdown: shutdown.clone(), observer };
+    let (health, health_service) = tonic_health::server::health_reporter();
+    health.set_serving::<LookalikeServiceServer<Api>>().await;
+    health.set_serving::<WorkerServiceServer<WorkerApi>>().await;
+    let reflection = tonic_reflection::server::Builder::configure()
+        .register_encoded_file_descriptor_set(DESCRIPTORS)
+        .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+        .build_v1()?;
+    let server = Server::builder()
+        .max_concurrent_streams(256)
+        .http2_max_header_list_size(16 << 10)
+        .http2_keepalive_interval(Some(Duration::from_secs(20)))
+        .http2_keepalive_timeout(Some(Duration::from_secs(20)))
+        .max_connection_age(Duration::from_hours(1))
+        .add_service(health_service)
+        .add_service(reflection)
+        .add_service(LookalikeServiceServer::new(api).max_decoding_message_size(MAX_MESSAGE_BYTES))
+        .add_service(
+            WorkerServiceServer::new(worker_api).max_decoding_message_size(MAX_MESSAGE_BYTES),
+        );
+    let stop = async move {
+        shutdown.cancelled().await;
+        health.set_not_serving::<LookalikeServiceServer<Api>>().await;
+        health.set_not_serving::<WorkerServiceServer<WorkerApi>>().await;
+    };
+    // Small answers must not wait for the peer's delayed acknowledgement (40 ms).
+    let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));
+    Ok(server.serve_with_incoming_shutdown(incoming, stop).await?)
+}

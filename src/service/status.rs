@@ -1,0 +1,135 @@
+//! Errors to gRPC statuses: the one table, and its reading on the client's side.
+
+use std::{collections::HashMap, time::Duration};
+
+use tonic::{Code, Status};
+use tonic_types::{ErrorDetails, FieldViolation, StatusExt};
+
+use crate::jobs::{error::Error, spec::Fault};
+
+/// Domain of every `ErrorInfo`.
+pub const DOMAIN: &str = "lookalike";
+/// A worker's lease is not, or no longer, the job's.
+pub const STALE_LEASE: &str = "STALE_LEASE";
+/// The server is about to end: connect again in a moment.
+pub const SHUTTING_DOWN: &str = "SHUTTING_DOWN";
+
+/// Statuses travel in HTTP/2 headers, which are capped at 16 KiB by most peers.
+const MAX_VIOLATIONS: usize = 64;
+const MAX_MESSAGE: usize = 1024;
+
+fn row(error: &Error) -> (Code, &'static str) {
+    match error {
+        Error::NotFound(_) => (Code::NotFound, "NOT_FOUND"),
+        Error::Invalid(_) => (Code::InvalidArgument, "INVALID"),
+        Error::RequestIdReused(_) => (Code::AlreadyExists, "REQUEST_ID_REUSED"),
+        Error::Illegal { .. } => (Code::FailedPrecondition, "ILLEGAL_TRANSITION"),
+        Error::Stale { .. } => (Code::FailedPrecondition, STALE_LEASE),
+        Error::Gap { .. } => (Code::OutOfRange, "EVENT_GAP"),
+        Error::Corrupt { .. } => (Code::DataLoss, "CORRUPT"),
+        Error::TooLarge { .. } => (Code::ResourceExhausted, "TOO_LARGE"),
+        Error::QueueFull(_) => (Code::ResourceExhausted, "QUEUE_FULL"),
+        Error::InUse(_) => (Code::FailedPrecondition, "IN_USE"),
+        Error::Sql(_) | Error::Migrate(_) | Error::Stored { .. } => (Code::Internal, "DATABASE"),
+        Error::Io { .. } => (Code::Internal, "STORAGE"),
+        Error::Task(_) => (Code::Internal, "TASK"),
+    }
+}
+
+/// The status for an error. Faults of the server are logged here, once.
+pub fn status_of(error: &Error) -> Status {
+    let (code, reason) = row(error);
+    if code == Code::Internal {
+        tracing::error!(%error, reason, "a request failed");
+    }
+    let mut details = ErrorDetails::with_error_info(reason, DOMAIN, metadata_of(error));
+    if let Error::Invalid(faults) = error {
+        let faults = faults.iter().take(MAX_VIOLATIONS);
+        details.set_bad_request(faults.map(violation).collect::<Vec<_>>());
+    }
+    if let Error::QueueFull(_) = error {
+        details.set_retry_info(Some(Duration::from_secs(5)));
+    }
+    Status::with_error_details(code, shorten(&error.to_string()), details)
+}
+
+/// The server ends while a stream is open.
+pub fn shutting_down() -> Status {
+    let details = ErrorDetails::with_error_info(SHUTTING_DOWN, DOMAIN, HashMap::new());
+    let text = "the server is shutting down: connect again in a moment";
+    Status::with_error_details(Code::Unavailable, text, details)
+}
+
+/// One fault of a request.
+pub fn invalid(field: &str, text: impl Into<String>) -> Status {
+    status_of(&Error::invalid(field, text))
+}
+
+/// The `ErrorInfo` reason, if the status is an answer of a Lookalike server.
+pub fn reason_of(status: &Status) -> Option<String> {
+    let info = status.get_details_error_info()?;
+    (info.domain == DOMAIN).then_some(info.reason)
+}
+
+/// The field violations of a status.
+pub fn faults_of(status: &Status) -> Vec<Fault> {
+    let violations = status.get_details_bad_request().map(|details| details.field_violations);
+    let violations = violations.unwrap_or_default().into_iter();
+    violations.map(|v| Fault { field: v.field, text: v.description }).collect()
+}
+
+fn metadata_of(error: &Error) -> HashMap<String, String> {
+    let pairs = match error {
+        Error::Illegal { job, state, .. } => {
+            vec![("job", job.clone()), ("state", state.to_string())]
+        }
+        Error::Stale { job, epoch, .. } => vec![("job", job.clone()), ("epoch", epoch.to_string())],
+        Error::Gap { held, .. } => vec![("held", held.to_string())],
+        _ => Vec::new(),
+    };
+    pairs.into_iter().map(|(key, value)| (key.into(), value)).collect()
+}
+
+fn violation(fault: &Fault) -> FieldViolation {
+    FieldViolation {
+        field: super::convert::field_on_wire(&fault.field),
+        description: fault.text.clone(),
+        ..FieldViolation::default()
+    }
+}
+
+fn shorten(text: &str) -> String {
+    match text.char_indices().nth(MAX_MESSAGE) {
+        Some((end, _)) => format!("{}…", &text[..end]),
+        None => text.into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_fault_reaches_the_client_under_its_wire_name() {
+        let faults = ["triangles[1]", "lambda", "render.image_size"]
+            .map(|field| Fault { field: format!("spec.{field}"), text: "wrong".into() });
+        let status = status_of(&Error::Invalid(faults.to_vec()));
+        assert_eq!(status.code(), Code::InvalidArgument);
+        let fields: Vec<_> = faults_of(&status).into_iter().map(|fault| fault.field).collect();
+        let wanted = ["triangles[1]", "surface_weight", "render.image_size"];
+        assert_eq!(fields, wanted.map(|field| format!("spec.simplify.{field}")));
+    }
+
+    #[test]
+    fn statuses_stay_below_the_header_cap() {
+        let fault = Fault { field: "spec.render.custom_views[63]".into(), text: "x".repeat(80) };
+        let status = status_of(&Error::Invalid(vec![fault; 1000]));
+        assert!(status.details().len() * 4 / 3 + status.message().len() < 16 << 10);
+    }
+
+    #[test]
+    fn answers_differ_from_broken_connections() {
+        assert_eq!(reason_of(&shutting_down()).as_deref(), Some(SHUTTING_DOWN));
+        assert_eq!(reason_of(&Status::unavailable("broken pipe")), None);
+    }
+}

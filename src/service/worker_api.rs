@@ -1,0 +1,203 @@
+//! The worker API: `lookalike.worker.v1.WorkerService`.
+
+use std::{pin::Pin, sync::Arc, time::Duration};
+
+use futures::{Stream, TryStreamExt};
+use prost::bytes::Bytes;
+use tokio_util::sync::CancellationToken;
+use tonic::{Request, Response, Status, Streaming};
+
+use super::{
+    api::until,
+    convert,
+    observe::Observer,
+    proto::worker::v1 as worker,
+    status::{self, status_of},
+    transfer,
+};
+use crate::jobs::{
+    Jobs,
+    blobs::is_safe_name,
+    store::{Artifact, Job},
+};
+
+/// Longest wait of a claim.
+const MAX_WAIT: Duration = Duration::from_mins(1);
+
+/// Serves workers.
+#[derive(Clone, Debug)]
+pub(super) struct WorkerApi {
+    /// The data directory.
+    pub jobs: Jobs,
+    /// Ends waiting claims and open streams.
+    pub shutdown: CancellationToken,
+    /// Learns what workers report.
+    pub observer: Arc<Observer>,
+}
+
+#[tonic::async_trait]
+impl worker::worker_service_server::WorkerService for WorkerApi {
+    async fn claim(
+        &self,
+        request: Request<worker::ClaimRequest>,
+    ) -> Result<Response<worker::ClaimResponse>, Status> {
+        let request = request.into_inner();
+        check_worker(&request)?;
+        let wait = Duration::try_from_secs_f64(request.wait_secs).unwrap_or_default().min(MAX_WAIT);
+        let claim = self.jobs.claim(&request.worker, wait);
+        let claimed = tokio::select! {
+            claimed = claim => claimed.map_err(|e| status_of(&e))?,
+            () = self.shutdown.cancelled() => return Err(status::shutting_down()),
+        };
+        if let Some(job) = &claimed {
+            let (attempt, epoch) = (job.attempt, job.epoch);
+            tracing::info!(job = job.id, worker = request.worker, attempt, epoch, "claimed");
+            self.observer.claimed();
+        }
+        let assignment = claimed.map(|job| self.assignment(&job));
+        Ok(Response::new(worker::ClaimResponse { assignment }))
+    }
+
+    async fn heartbeat(
+        &self,
+        request: Request<worker::HeartbeatRequest>,
+    ) -> Result<Response<worker::HeartbeatResponse>, Status> {
+        let lease = convert::lease_from_wire(request.into_inner().lease)?;
+        let cancel_requested = self.jobs.heartbeat(&lease).await.map_err(|e| status_of(&e))?;
+        Ok(Response::new(worker::HeartbeatResponse { cancel_requested }))
+    }
+
+    type FetchMeshStream =
+        Pin<Box<dyn Stream<Item = Result<worker::FetchMeshResponse, Status>> + Send>>;
+
+    async fn fetch_mesh(
+        &self,
+        request: Request<worker::FetchMeshRequest>,
+    ) -> Result<Response<Self::FetchMeshStream>, Status> {
+        let lease = convert::lease_from_wire(request.into_inner().lease)?;
+        let path = self.jobs.input(&lease).await.map_err(|e| status_of(&e))?;
+        let bytes = transfer::send(path, 0, u64::MAX).await.map_err(|e| status_of(&e))?;
+        let answers = bytes.map_ok(|data| worker::FetchMeshResponse { data });
+        let answers = answers.map_err(|e| status_of(&e));
+        Ok(Response::new(until(answers, self.shutdown.clone())))
+    }
+
+    async fn append_events(
+        &self,
+        request: Request<worker::AppendEventsRequest>,
+    ) -> Result<Response<worker::AppendEventsResponse>, Status> {
+        let request = request.into_inner();
+        let lease = convert::lease_from_wire(request.lease)?;
+        let bodies: Option<Vec<_>> = request.events.into_iter().map(|event| event.body).collect();
+        let bodies = bodies.ok_or_else(|| status::invalid("events", "one has no body"))?;
+        let reports: Vec<_> = bodies.into_iter().map(convert::report_from_wire).collect();
+        self.observer.reported(&lease, request.first_index, &reports);
+        let appended = self.jobs.append(&lease, request.first_index, reports).await;
+        let appended = appended.map_err(|e| status_of(&e))?;
+        Ok(Response::new(worker::AppendEventsResponse {
+            appended: appended.held,
+            cancel_requested: appended.cancel_requested,
+        }))
+    }
+
+    async fn put_artifact(
+        &self,
+        request: Request<Streaming<worker::PutArtifactRequest>>,
+    ) -> Result<Response<worker::PutArtifactResponse>, Status> {
+        let mut parts = request.into_inner();
+        let first = parts.message().await?.and_then(|message| message.part);
+        let Some(worker::put_artifact_request::Part::Header(header)) = first else {
+            return Err(status::invalid("part", "the first message must be the header"));
+        };
+        let lease = convert::lease_from_wire(header.lease)?;
+        let artifact = Artifact {
+            file: header.file,
+            media_type: header.media_type,
+            size: header.size,
+            blake3: header.blake3,
+        };
+        let (job, file) = (lease.job.clone(), artifact.file.clone());
+        transfer::receive(parts, artifact_chunk, |chunks| {
+            self.jobs.put_artifact(&lease, artifact, chunks)
+        })
+        .await?;
+        tracing::info!(job, file, "artifact stored");
+        Ok(Response::new(worker::PutArtifactResponse {}))
+    }
+
+    async fn complete(
+        &self,
+        request: Request<worker::CompleteRequest>,
+    ) -> Result<Response<worker::CompleteResponse>, Status> {
+        let request = request.into_inner();
+        let lease = convert::lease_from_wire(request.lease)?;
+        let outcome = convert::outcome_from_wire(request.outcome)?;
+        let job = self.jobs.complete(&lease, &outcome).await.map_err(|e| status_of(&e))?;
+        tracing::info!(job = job.id, state = %job.state, ?outcome, "attempt ended");
+        self.observer.ended(&job);
+        Ok(Response::new(worker::CompleteResponse {}))
+    }
+}
+
+impl WorkerApi {
+    fn assignment(&self, job: &Job) -> worker::Assignment {
+        let lease = worker::Lease { job: job.name(), epoch: job.epoch, worker: job.worker.clone() };
+        worker::Assignment {
+            lease: Some(lease),
+            mesh: convert::mesh_name(&job.mesh),
+            file_name: job.file_name.clone(),
+            spec: Some(convert::spec_to_wire(&job.spec)),
+            attempt: job.attempt,
+            lease_secs: self.jobs.terms().lease.as_secs_f64(),
+            heartbeat_secs: self.jobs.terms().heartbeat.as_secs_f64(),
+        }
+    }
+}
+
+fn artifact_chunk(message: worker::PutArtifactRequest) -> Option<Bytes> {
+    match message.part {
+        Some(worker::put_artifact_request::Part::Chunk(chunk)) => Some(chunk),
+        _ => None,
+    }
+}
+
+fn check_worker(request: &worker::ClaimRequest) -> Result<(), Status> {
+    if !is_safe_name(&request.worker) || request.worker.len() > 64 {
+        return Err(status::invalid("worker", "use 1 to 64 characters of [A-Za-z0-9._-]"));
+    }
+    let server = env!("CARGO_PKG_VERSION");
+    if compatible(&request.version, server) {
+        return Ok(());
+    }
+    let text = format!(
+        "a worker of version `{}` cannot work for a server of version {server}: run the same version",
+        request.version.escape_default()
+    );
+    Err(status::invalid("version", text))
+}
+
+/// One minor version apart still works.
+fn compatible(worker: &str, server: &str) -> bool {
+    let version = |text: &str| -> Option<(u32, u32)> {
+        let mut parts = text.split('.');
+        Some((parts.next()?.parse().ok()?, parts.next()?.parse().ok()?))
+    };
+    match (version(worker), version(server)) {
+        (Some(a), Some(b)) => a.0 == b.0 && a.1.abs_diff(b.1) <= 1,
+        _ => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn versions_one_minor_apart_work_together() {
+        assert!(compatible("0.1.0", "0.1.9"));
+        assert!(compatible("0.2.0", "0.1.0"));
+        assert!(!compatible("0.3.0", "0.1.0"));
+        assert!(!compatible("1.1.0", "0.1.0"));
+        assert!(!compatible("", "0.1.0"));
+    }
+}

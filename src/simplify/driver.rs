@@ -1,0 +1,341 @@
+//! The greedy loop.
+
+use std::ops::ControlFlow;
+
+use glam::DVec3;
+
+use crate::{
+    mesh::{EdgeId, EdgeTable, EditMesh, Sample, Stage, Step, VertexId},
+    metric::Objective,
+    render::{Move, RenderError},
+};
+
+use super::{
+    candidates::{Candidate, Collector, Rules},
+    queue::Queue,
+};
+
+/// When the neighbours of a collapse are judged again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Policy {
+    /// When they come up: an edge that may have changed keeps its old key until then.
+    Lazy,
+    /// Edges at the new vertex at once, the rest of U(v) when they come up.
+    Mixed,
+    /// All of U(v), the edges that touch the new vertex or a neighbour of it, at once.
+    Eager,
+}
+
+/// Parameters of image-driven simplification.
+#[derive(Clone, Debug)]
+pub struct Params {
+    /// When to judge again.
+    pub policy: Policy,
+    /// Candidate placements and legality.
+    pub rules: Rules,
+    /// Stale edges judged in one batch (a constant of the algorithm, never of the device).
+    pub batch: usize,
+    /// Halvings of the pattern search for the place of the chosen collapse; 0 turns it off.
+    pub search_rounds: u32,
+    /// Stop after so many evaluations; 0 means never.
+    pub max_evaluations: u64,
+}
+
+/// What ended a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StoppedBy {
+    /// The triangle target is reached.
+    Target,
+    /// No legal collapse is left.
+    NoLegalCollapse,
+    /// The budget of evaluations is spent.
+    Evaluations,
+    /// The caller broke off.
+    Caller,
+}
+
+/// How a run ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Outcome {
+    /// Triangles left.
+    pub n_faces: usize,
+    /// Collapses made in this run.
+    pub collapses: u64,
+    /// What ended it.
+    pub stopped_by: StoppedBy,
+}
+
+/// Why simplification cannot go on.
+#[derive(Debug, thiserror::Error)]
+pub enum SimplifyError {
+    /// The evaluator failed.
+    #[error(transparent)]
+    Render(#[from] RenderError),
+}
+
+/// Image-driven simplification in progress: run it to one target after another, coarser each time.
+pub struct Simplifier<'a> {
+    mesh: &'a mut EditMesh,
+    objective: &'a mut Objective,
+    params: Params,
+    edges: EdgeTable,
+    queue: Queue,
+    /// The best place of each queued edge.
+    places: Vec<DVec3>,
+    collector: Collector,
+    is_primed: bool,
+    collapses_since_sample: u64,
+}
+
+/// Samples of the energy curve are this far apart, as a share of the triangles.
+const SAMPLES_PER_HALVING: usize = 40;
+/// The most edges judged in one call of the evaluator.
+const CHUNK: usize = 1024;
+
+impl<'a> Simplifier<'a> {
+    /// Gets ready to simplify `mesh`, which `objective` shows as it is now.
+    pub fn new(mesh: &'a mut EditMesh, objective: &'a mut Objective, params: Params) -> Self {
+        let edges = EdgeTable::new(mesh);
+        let n = edges.n_slots();
+        Self {
+            mesh,
+            objective,
+            params,
+            edges,
+            queue: Queue::new(n),
+            places: vec![DVec3::ZERO; n],
+            collector: Collector::default(),
+            is_primed: false,
+            collapses_since_sample: 0,
+        }
+    }
+
+    /// The mesh as it is now.
+    pub fn mesh(&self) -> &EditMesh {
+        self.mesh
+    }
+
+    /// The objective as it is now.
+    pub fn objective(&mut self) -> &mut Objective {
+        self.objective
+    }
+
+    /// Collapses edges until at most `target` triangles are left.
+    pub fn run_to(
+        &mut self,
+        target: usize,
+        on: &mut dyn FnMut(Step<'_>) -> ControlFlow<()>,
+    ) -> Result<Outcome, SimplifyError> {
+        let start = self.mesh.n_faces();
+        let mut collapses = 0;
+        let mut stopped_by = StoppedBy::Target;
+        if start > target && self.prime(on)?.is_break() {
+            return Ok(Outcome { n_faces: start, collapses, stopped_by: StoppedBy::Caller });
+        }
+        while self.mesh.n_faces() > target {
+            if self.is_budget_spent() {
+                stopped_by = StoppedBy::Evaluations;
+                break;
+            }
+            let Some(edge) = self.next_edge()? else {
+                stopped_by = StoppedBy::NoLegalCollapse;
+                break;
+            };
+            let flow = self.collapse(edge, on)?;
+            collapses += 1;
+            if flow.is_break() || self.tell_progress(start, target, on).is_break() {
+                stopped_by = StoppedBy::Caller;
+                break;
+            }
+        }
+        let _ = on(Step::Sample(self.sample()));
+        Ok(Outcome { n_faces: self.mesh.n_faces(), collapses, stopped_by })
+    }
+
+    /// Judges every edge once.
+    fn prime(
+        &mut self,
+        on: &mut dyn FnMut(Step<'_>) -> ControlFlow<()>,
+    ) -> Result<ControlFlow<()>, SimplifyError> {
+        if self.is_primed {
+            return Ok(ControlFlow::Continue(()));
+        }
+        if on(Step::Sample(self.sample())).is_break() {
+            return Ok(ControlFlow::Break(()));
+        }
+        let all: Vec<EdgeId> = self.edges.edges().collect();
+        for chunk in all.chunks(CHUNK) {
+            self.judge(chunk)?;
+            if on(Step::Progress { done: 0, total: 1 }).is_break() {
+                return Ok(ControlFlow::Break(()));
+            }
+        }
+        self.is_primed = true;
+        Ok(ControlFlow::Continue(()))
+    }
+
+    /// The edge to collapse next: the first that is up to date, judging stale ones in batches.
+    fn next_edge(&mut self) -> Result<Option<EdgeId>, SimplifyError> {
+        while let Some((edge, is_fresh)) = self.queue.first() {
+            let [a, b] = self.edges.ends(edge);
+            if is_fresh && self.mesh.may_collapse(a, b, self.params.rules.topology) {
+                return Ok(Some(edge));
+            }
+            if is_fresh {
+                self.queue.remove(edge);
+                continue;
+            }
+            let batch = self.params.batch;
+            let stale = self.queue.first_stale(batch, batch * 4);
+            self.judge(&stale)?;
+        }
+        Ok(None)
+    }
+
+    /// Judges edges and enters them in the queue with their best place; those that may not
+    /// collapse leave it.
+    fn judge(&mut self, edges: &[EdgeId]) -> Result<(), SimplifyError> {
+        let mut candidates = Vec::with_capacity(edges.len());
+        for edge in edges {
+            self.queue.remove(*edge);
+            let rules = &self.params.rules;
+            let (mesh, objective) = (&*self.mesh, &*self.objective);
+            self.collector.collect(mesh, &self.edges, objective, rules, *edge, &mut candidates);
+        }
+        let moves: Vec<Move> = candidates.iter_mut().map(|c| std::mem::take(&mut c.mv)).collect();
+        let deltas = self.objective.evaluate(&moves)?;
+        for of_edge in with_deltas(&candidates, &deltas).chunk_by(|a, b| a.0.edge == b.0.edge) {
+            // The first of equals wins: the memoryless optimum comes first.
+            if let Some((best, delta)) = of_edge.iter().min_by_key(|(_, delta)| *delta) {
+                self.queue.set(best.edge, *delta);
+                self.places[best.edge.index()] = best.to;
+            }
+        }
+        Ok(())
+    }
+
+    /// Makes one collapse, follows it everywhere, and tells the caller.
+    fn collapse(
+        &mut self,
+        edge: EdgeId,
+        on: &mut dyn FnMut(Step<'_>) -> ControlFlow<()>,
+    ) -> Result<ControlFlow<()>, SimplifyError> {
+        let [keep, drop] = self.edges.ends(edge);
+        let to = self.search_place(edge)?;
+        let plan = self.mesh.plan_collapse(keep, drop, to);
+        let Some(mv) = self.objective.collapse_move(self.mesh, &plan) else {
+            self.queue.remove(edge);
+            return Ok(ControlFlow::Continue(()));
+        };
+        self.objective.commit(&mv)?;
+        let record = self.mesh.collapse(keep, drop, to);
+        self.objective.follow(self.mesh);
+        let change = self.edges.apply(self.mesh, &record);
+        for dead in change.died {
+            self.queue.remove(dead);
+        }
+        self.refresh_around(keep)?;
+        Ok(on(Step::Edit(&record)))
+    }
+
+    /// Refines the place of the chosen collapse: a pattern search along the axes, steps halved
+    /// from a quarter of the edge's length.
+    fn search_place(&mut self, edge: EdgeId) -> Result<DVec3, SimplifyError> {
+        let mut best = self.places[edge.index()];
+        if self.params.search_rounds == 0 {
+            return Ok(best);
+        }
+        let [a, b] = self.edges.ends(edge);
+        let mut step = 0.25 * self.mesh.position(a).distance(self.mesh.position(b));
+        let mut best_delta = None;
+        for _ in 0..self.params.search_rounds {
+            let axes = [DVec3::X, DVec3::Y, DVec3::Z];
+            let mut tries: Vec<DVec3> =
+                axes.iter().flat_map(|d| [best + *d * step, best - *d * step]).collect();
+            if best_delta.is_none() {
+                tries.insert(0, best);
+            }
+            let plans = tries.iter().map(|to| self.mesh.plan_collapse(a, b, *to));
+            let moves: Vec<Move> =
+                plans.filter_map(|p| self.objective.collapse_move(self.mesh, &p)).collect();
+            if moves.len() < tries.len() {
+                break;
+            }
+            let deltas = self.objective.evaluate(&moves)?;
+            if best_delta.is_none() {
+                best_delta = deltas.first().copied();
+            }
+            let found = deltas.iter().zip(&tries).min_by_key(|(delta, _)| **delta);
+            match (found, best_delta) {
+                (Some((delta, to)), Some(old)) if *delta < old => {
+                    (best, best_delta) = (*to, Some(*delta));
+                }
+                _ => step *= 0.5,
+            }
+        }
+        Ok(best)
+    }
+
+    /// Marks the edges round a new vertex as stale, or judges them again, as the policy says.
+    fn refresh_around(&mut self, v: VertexId) -> Result<(), SimplifyError> {
+        let at_vertex = self.edges.edges_around(v).to_vec();
+        let update_set = self.update_set(v);
+        for edge in &update_set {
+            self.queue.mark_stale(*edge);
+        }
+        match self.params.policy {
+            Policy::Lazy => Ok(()),
+            Policy::Mixed => self.judge(&at_vertex),
+            Policy::Eager => self.judge(&update_set),
+        }
+    }
+
+    /// U(v): the edges that touch `v` or a neighbour of it, by id.
+    fn update_set(&self, v: VertexId) -> Vec<EdgeId> {
+        let mut neighbours = Vec::new();
+        self.mesh.neighbours(v, &mut neighbours);
+        neighbours.push(v);
+        let mut set: Vec<EdgeId> =
+            neighbours.iter().flat_map(|n| self.edges.edges_around(*n)).copied().collect();
+        set.sort_unstable();
+        set.dedup();
+        set
+    }
+
+    fn is_budget_spent(&self) -> bool {
+        let most = self.params.max_evaluations;
+        most > 0 && self.objective.evaluations() >= most
+    }
+
+    /// Progress now and then, and samples at a steady cadence.
+    fn tell_progress(
+        &mut self,
+        start: usize,
+        target: usize,
+        on: &mut dyn FnMut(Step<'_>) -> ControlFlow<()>,
+    ) -> ControlFlow<()> {
+        self.collapses_since_sample += 1;
+        let n_faces = self.mesh.n_faces();
+        if self.collapses_since_sample as usize * SAMPLES_PER_HALVING < n_faces / 2 {
+            return ControlFlow::Continue(());
+        }
+        self.collapses_since_sample = 0;
+        on(Step::Sample(self.sample()))?;
+        let (done, total) = (start.saturating_sub(n_faces), start.saturating_sub(target));
+        on(Step::Progress { done: done as u64, total: total as u64 })
+    }
+
+    fn sample(&self) -> Sample {
+        Sample {
+            stage: Stage::Image,
+            evaluations: self.objective.evaluations(),
+            triangles: self.mesh.n_faces() as u32,
+            energy: Some(self.objective.energy()),
+            d2: Some(self.objective.d2_percent()),
+        }
+    }
+}
+
+fn with_deltas<'a>(candidates: &'a [Candidate], deltas: &[i64]) -> Vec<(&'a Candidate, i64)> {
+    candidates.iter().zip(deltas.iter().copied()).collect()
+}

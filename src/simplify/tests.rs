@@ -1,0 +1,129 @@
+//! A finely divided box: only its twelve edges matter to the pictures.
+
+use std::ops::ControlFlow;
+
+use glam::DVec3;
+
+use super::{Outcome, Params, Placements, Policy, Rules, Simplifier, StoppedBy};
+use crate::{
+    memoryless,
+    mesh::{EditMesh, Mesh, Step, Topology},
+    metric::{Objective, Pictures, bounding_sphere, reference_pictures, scene_of_edit_mesh},
+    render::{
+        RenderParams, Shading, Twin,
+        view::{Projection, ViewParams, cameras, directions},
+    },
+};
+
+/// A cube of side 2 whose faces are grids of `n`² quads; closed, outward.
+fn cube(n: i32) -> Mesh {
+    let mut points: Vec<[i32; 3]> = Vec::new();
+    let mut faces = Vec::new();
+    let mut at = |p: [i32; 3]| {
+        let known = points.iter().position(|q| *q == p);
+        known.unwrap_or_else(|| {
+            points.push(p);
+            points.len() - 1
+        }) as u32
+    };
+    for axis in 0..3 {
+        for side in [0, n] {
+            for i in 0..n {
+                for j in 0..n {
+                    let mut corner = |di: i32, dj: i32| {
+                        let mut p = [0; 3];
+                        p[axis] = side;
+                        p[(axis + 1) % 3] = i + di;
+                        p[(axis + 2) % 3] = j + dj;
+                        at(p)
+                    };
+                    let [a, b, c, d] = [corner(0, 0), corner(1, 0), corner(1, 1), corner(0, 1)];
+                    let quad = if side == n { [a, b, c, d] } else { [a, d, c, b] };
+                    faces.push([quad[0], quad[1], quad[2]]);
+                    faces.push([quad[0], quad[2], quad[3]]);
+                }
+            }
+        }
+    }
+    let scale = 2.0 / f64::from(n);
+    let positions = points.iter().map(|p| DVec3::from_array(p.map(f64::from)) * scale).collect();
+    Mesh::from_parts(positions, faces)
+}
+
+fn pictures(mesh: &Mesh, shading: Shading) -> Pictures {
+    let view_params = ViewParams {
+        directions: directions(8).unwrap(),
+        fov_degrees: 60.0,
+        projection: Projection::Perspective,
+        light_degrees: 10.0,
+    };
+    Pictures {
+        views: cameras(&bounding_sphere(mesh), &view_params),
+        params: RenderParams {
+            image_size: 128,
+            shading,
+            ambient: 0.1,
+            background: 128,
+            interior_views: 0,
+        },
+    }
+}
+
+/// Runs to `target`; returns the outcome, d2 in percent, evaluations and the mesh.
+fn run(policy: Policy, target: usize, max_evaluations: u64) -> (Outcome, f64, u64, Mesh) {
+    let original = cube(6);
+    let pictures = pictures(&original, Shading::Flat);
+    let reference = reference_pictures(&original, &pictures);
+    let mut mesh = EditMesh::new(original).unwrap();
+    let scene = scene_of_edit_mesh(&mesh, &pictures);
+    let twin = Twin::new(&scene, reference);
+    let mut objective = Objective::new(&mesh, scene, Box::new(twin));
+    let params = Params {
+        policy,
+        rules: Rules {
+            placements: Placements::OptimumMidpointEnds,
+            topology: Topology::Preserve,
+            memoryless: memoryless::Params::default(),
+        },
+        batch: 8,
+        search_rounds: 2,
+        max_evaluations,
+    };
+    let mut edits = 0;
+    let mut simplifier = Simplifier::new(&mut mesh, &mut objective, params);
+    let outcome = simplifier
+        .run_to(target, &mut |step| {
+            edits += u64::from(matches!(step, Step::Edit(_)));
+            ControlFlow::Continue(())
+        })
+        .unwrap();
+    assert_eq!(edits, outcome.collapses);
+    assert!(mesh.validate().is_ok());
+    let d2 = objective.d2_percent();
+    (outcome, d2, objective.evaluations(), mesh.snapshot())
+}
+
+#[test]
+fn what_does_not_show_goes_first() {
+    for policy in [Policy::Lazy, Policy::Mixed, Policy::Eager] {
+        let (outcome, d2, _, mesh) = run(policy, 12, 0);
+        assert_eq!(outcome.stopped_by, StoppedBy::Target, "{policy:?}");
+        assert_eq!(mesh.faces.len(), 12);
+        // A cube again: what is left of the difference is the snapping of edges to the lattice.
+        assert!(d2 < 0.7, "{policy:?}: d2 {d2}%");
+    }
+}
+
+#[test]
+fn budgets_are_kept_and_said() {
+    let (outcome, _, evaluations, mesh) = run(Policy::Eager, 12, 5000);
+    assert_eq!(outcome.stopped_by, StoppedBy::Evaluations);
+    assert!(mesh.faces.len() > 12 && evaluations < 5600, "{evaluations}");
+}
+
+#[test]
+fn a_target_below_what_topology_allows_is_not_reached() {
+    let (outcome, _, _, mesh) = run(Policy::Lazy, 1, 0);
+    assert_eq!(outcome.stopped_by, StoppedBy::NoLegalCollapse);
+    assert_eq!(mesh.faces.len(), 4, "a tetrahedron is the last closed surface");
+}

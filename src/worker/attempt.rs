@@ -1,0 +1,267 @@
+//! One attempt of a job: fetch the input, run the pipeline on its own thread, and meanwhile keep the
+//! lease alive and send what it reports.
+//!
+//! The pipeline learns of a stop through the return value of its callback; a panic inside it fails
+//! the attempt and nothing else.
+
+use std::{
+    any::Any,
+    ops::ControlFlow,
+    panic::{AssertUnwindSafe, catch_unwind},
+    path::Path,
+    time::Duration,
+};
+
+use tokio::sync::{mpsc, watch};
+use tokio_util::sync::CancellationToken;
+
+use super::{
+    link::{Link, LinkError},
+    outbox::{AHEAD, Outbox},
+    pipeline::{self, DeviceChoice, PipelineError},
+};
+use crate::{
+    jobs::{event::Report, lease::Lease, spec::Spec, store::Outcome},
+    service::{convert, proto::worker::v1::Assignment},
+};
+
+/// Why an attempt is stopped before its end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stop {
+    /// A client cancelled the job.
+    Cancel,
+    /// The worker shuts down.
+    Drain,
+    /// The job is no longer ours, or the server is gone.
+    Abandon,
+}
+
+impl Stop {
+    /// Asks for a stop; the first reason holds, but `Abandon` overrides all.
+    pub fn raise(self, stop: &watch::Sender<Option<Self>>) {
+        stop.send_if_modified(|reason| {
+            let changes = reason.is_none() || (self == Self::Abandon && *reason != Some(self));
+            if changes {
+                *reason = Some(self);
+            }
+            changes
+        });
+    }
+}
+
+/// How an attempt left its worker.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ended {
+    /// Ready for the next job.
+    Ready,
+    /// The pipeline panicked: the process should not be trusted with another job.
+    Tainted,
+}
+
+/// What is to be done, read from the wire.
+#[derive(Debug)]
+pub struct Work {
+    /// The right to do it.
+    pub lease: Lease,
+    spec: Spec,
+    file_name: String,
+    heartbeat: Duration,
+}
+
+impl Work {
+    /// Reads an assignment; `None` when it is not one that this version understands.
+    pub fn read(assignment: Assignment) -> Option<Self> {
+        let lease = convert::lease_from_wire(assignment.lease).ok()?;
+        let (spec, faults) = convert::spec_from_wire(assignment.spec);
+        let heartbeat = Duration::try_from_secs_f64(assignment.heartbeat_secs).ok()?;
+        let heartbeat = heartbeat.max(Duration::from_millis(10));
+        faults.is_empty().then_some(Self {
+            lease,
+            spec,
+            file_name: assignment.file_name,
+            heartbeat,
+        })
+    }
+}
+
+/// Runs one attempt to its end and tells the server how it ended.
+pub async fn run(
+    link: &Link,
+    work: Work,
+    device: &DeviceChoice,
+    out_dir: &Path,
+    drain: &CancellationToken,
+) -> Result<Ended, LinkError> {
+    let (stop, stopped) = watch::channel(None);
+    let (send, mut reports) = mpsc::channel(AHEAD);
+    let (lease, heartbeat) = (work.lease.clone(), work.heartbeat);
+    let input = tokio::select! {
+        input = link.fetch_mesh(&lease) => input?,
+        lost = keep_alive(link, &lease, heartbeat, &stop, drain) => return Err(lost),
+    };
+    let (folder, device) = (out_dir.to_owned(), device.clone());
+    let mut pipeline = tokio::task::spawn_blocking(move || {
+        guarded(&work, &input, &folder, &device, &send, &stopped)
+    });
+    let mut outbox = Outbox {
+        link: link.clone(),
+        lease: lease.clone(),
+        out_dir: out_dir.to_owned(),
+        stop: stop.clone(),
+        n_sent: 0,
+        files: Vec::new(),
+    };
+    let finish = async {
+        outbox.run(&mut reports).await?;
+        let result = (&mut pipeline).await.unwrap_or_else(|fault| Err(Fault::panic(&fault)));
+        if result.is_ok() {
+            outbox.store_rest().await?;
+        }
+        Ok(result)
+    };
+    let finished = tokio::select! {
+        finished = finish => finished,
+        lost = keep_alive(link, &lease, heartbeat, &stop, drain) => Err(lost),
+    };
+    match finished {
+        Ok(result) => {
+            let ended =
+                if matches!(result, Err(Fault::Panic(_))) { Ended::Tainted } else { Ended::Ready };
+            let outcome = outcome(result, outbox.files, *stop.borrow());
+            tracing::info!(job = lease.job, epoch = lease.epoch, ?outcome, "attempt ends");
+            link.complete(&lease, outcome).await?;
+            Ok(ended)
+        }
+        Err(error) => {
+            Stop::Abandon.raise(&stop);
+            // Nobody reads on: whatever the pipeline still reports tells it to stop.
+            drop(reports);
+            if !pipeline.is_finished() {
+                let _ = pipeline.await;
+            }
+            fail(link, &lease, error).await.map(|()| Ended::Ready)
+        }
+    }
+}
+
+/// Heartbeats until one fails; passes on what the server and the process's owner ask for.
+async fn keep_alive(
+    link: &Link,
+    lease: &Lease,
+    heartbeat: Duration,
+    stop: &watch::Sender<Option<Stop>>,
+    drain: &CancellationToken,
+) -> LinkError {
+    let mut beat = tokio::time::interval(heartbeat);
+    beat.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    let mut draining = false;
+    loop {
+        tokio::select! {
+            _ = beat.tick() => match link.heartbeat(lease).await {
+                Ok(true) => Stop::Cancel.raise(stop),
+                Ok(false) => {}
+                Err(error) => return error,
+            },
+            () = drain.cancelled(), if !draining => {
+                draining = true;
+                Stop::Drain.raise(stop);
+            }
+        }
+    }
+}
+
+/// After a call that the server refused: the attempt failed, if the server still listens.
+async fn fail(link: &Link, lease: &Lease, error: LinkError) -> Result<(), LinkError> {
+    match error {
+        LinkError::Refused(_) | LinkError::File { .. } => {
+            link.complete(lease, Outcome::AttemptFailed(error.to_string())).await
+        }
+        LinkError::Stale(_) | LinkError::Unreachable { .. } => Err(error),
+    }
+}
+
+enum Fault {
+    Pipeline(PipelineError),
+    Panic(String),
+}
+
+impl Fault {
+    fn panic(cause: &dyn std::fmt::Display) -> Self {
+        Self::Panic(cause.to_string())
+    }
+}
+
+fn guarded(
+    work: &Work,
+    input: &[u8],
+    out_dir: &Path,
+    device: &DeviceChoice,
+    reports: &mpsc::Sender<Report>,
+    stopped: &watch::Receiver<Option<Stop>>,
+) -> Result<(), Fault> {
+    let mut on = |report: Report| {
+        let sent = reports.blocking_send(report).is_ok();
+        if sent && stopped.borrow().is_none() {
+            ControlFlow::Continue(())
+        } else {
+            ControlFlow::Break(())
+        }
+    };
+    let run = || pipeline::run(&work.spec, &work.file_name, input, out_dir, device, &mut on);
+    match catch_unwind(AssertUnwindSafe(run)) {
+        Ok(result) => result.map_err(Fault::Pipeline),
+        Err(payload) => Err(Fault::panic(&panic_text(payload.as_ref()))),
+    }
+}
+
+fn panic_text(payload: &(dyn Any + Send)) -> &str {
+    let text = payload.downcast_ref::<&str>().copied();
+    text.or_else(|| payload.downcast_ref::<String>().map(String::as_str)).unwrap_or("no message")
+}
+
+fn outcome(result: Result<(), Fault>, files: Vec<String>, stop: Option<Stop>) -> Outcome {
+    match (result, stop) {
+        (Ok(()), _) => Outcome::Succeeded(files),
+        (Err(Fault::Panic(text)), _) => {
+            Outcome::AttemptFailed(format!("a bug in the program, which panicked: {text}"))
+        }
+        (Err(Fault::Pipeline(PipelineError::Job { code, text })), _) => {
+            Outcome::Failed(code.into(), text)
+        }
+        (Err(Fault::Pipeline(PipelineError::Cancelled)), Some(Stop::Cancel)) => Outcome::Cancelled,
+        (Err(Fault::Pipeline(PipelineError::Cancelled)), Some(_)) => {
+            Outcome::Released("the worker shuts down".into())
+        }
+        (Err(Fault::Pipeline(PipelineError::Cancelled)), None) => {
+            Outcome::AttemptFailed("a bug in the program, which stopped unasked".into())
+        }
+        (Err(Fault::Pipeline(PipelineError::Machine(text))), _) => Outcome::AttemptFailed(text),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_reason_to_stop_holds_until_all_is_lost() {
+        let (stop, _) = watch::channel(None);
+        Stop::Cancel.raise(&stop);
+        Stop::Drain.raise(&stop);
+        assert_eq!(*stop.borrow(), Some(Stop::Cancel));
+        Stop::Abandon.raise(&stop);
+        assert_eq!(*stop.borrow(), Some(Stop::Abandon));
+    }
+
+    #[test]
+    fn outcomes() {
+        let files = || vec!["lod-0.glb".to_owned()];
+        let stopped = || Err(Fault::Pipeline(PipelineError::Cancelled));
+        assert_eq!(outcome(Ok(()), files(), Some(Stop::Cancel)), Outcome::Succeeded(files()));
+        assert_eq!(outcome(stopped(), files(), Some(Stop::Cancel)), Outcome::Cancelled);
+        let released = outcome(stopped(), files(), Some(Stop::Drain));
+        assert!(matches!(released, Outcome::Released(_)));
+        let panicked = outcome(Err(Fault::panic(&"index out of bounds")), files(), None);
+        assert!(matches!(panicked, Outcome::AttemptFailed(text) if text.contains("index out of")));
+    }
+}

@@ -1,0 +1,170 @@
+//! The levels of detail of a job: targets in descending order, meshes as they are reached.
+
+use serde::Serialize;
+
+use crate::{
+    jobs::spec::Spec,
+    memoryless,
+    mesh::{EditMesh, Mesh},
+    simplify,
+};
+
+use super::{pipeline::PipelineError, recorder::Recorder};
+
+/// What ended the work on a level.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StoppedBy {
+    /// The original has no more triangles than asked for.
+    #[default]
+    Input,
+    /// The target is reached.
+    Triangles,
+    /// No collapse that keeps the topology is left.
+    NoLegalCollapse,
+    /// The budget of evaluations is spent.
+    Evaluations,
+    /// The cap on wall-clock time is reached.
+    Seconds,
+}
+
+impl StoppedBy {
+    /// Of a memoryless run.
+    pub(super) fn of_memoryless(by: memoryless::StoppedBy) -> Self {
+        match by {
+            memoryless::StoppedBy::Target => Self::Triangles,
+            memoryless::StoppedBy::NoLegalCollapse => Self::NoLegalCollapse,
+            memoryless::StoppedBy::Caller => Self::Seconds,
+        }
+    }
+
+    /// Of an image-driven run.
+    pub(super) fn of_image(by: simplify::StoppedBy) -> Self {
+        match by {
+            simplify::StoppedBy::Target => Self::Triangles,
+            simplify::StoppedBy::NoLegalCollapse => Self::NoLegalCollapse,
+            simplify::StoppedBy::Evaluations => Self::Evaluations,
+            simplify::StoppedBy::Caller => Self::Seconds,
+        }
+    }
+}
+
+/// One finished level.
+#[derive(Clone, Debug)]
+pub struct Level {
+    /// Triangles asked for.
+    pub target: usize,
+    /// The mesh.
+    pub mesh: Mesh,
+    /// Sum of squared luminance differences on the run-time views, if they were drawn.
+    pub energy: Option<u64>,
+    /// d2 on the run-time views, percent.
+    pub d2: Option<f64>,
+    /// What ended the work on it.
+    pub stopped_by: StoppedBy,
+}
+
+/// All levels of a job.
+pub struct Levels {
+    /// Targets as asked for.
+    asked: Vec<usize>,
+    /// Distinct targets still to reach, the last one being the next.
+    pending: Vec<usize>,
+    done: Vec<Level>,
+    n_original: usize,
+    stop: StoppedBy,
+    energy: Option<u64>,
+    d2: Option<f64>,
+}
+
+impl Levels {
+    /// The levels a job asks for.
+    pub fn new(spec: &Spec, n_original: usize) -> Self {
+        let asked: Vec<usize> = spec.triangles.iter().map(|t| *t as usize).collect();
+        let mut pending = asked.clone();
+        pending.sort_unstable();
+        pending.dedup();
+        Self {
+            asked,
+            pending,
+            done: Vec::new(),
+            n_original,
+            stop: StoppedBy::Input,
+            energy: None,
+            d2: None,
+        }
+    }
+
+    /// Says which levels cannot be coarser than the original.
+    pub fn announce(&self, recorder: &mut Recorder<'_>) -> Result<(), PipelineError> {
+        for target in self.asked.iter().filter(|t| **t >= self.n_original) {
+            let text = format!(
+                "{target} triangles were asked for and the model has {}: this level is the \
+                 original, unchanged; ask for fewer",
+                self.n_original
+            );
+            recorder.note("TARGET_NOT_BELOW_INPUT", &text)?;
+        }
+        Ok(())
+    }
+
+    /// The next target, finest first.
+    pub fn next_target(&self) -> Option<usize> {
+        self.pending.last().copied()
+    }
+
+    /// The coarsest target.
+    pub fn least(&self) -> usize {
+        self.asked.iter().copied().min().unwrap_or(0)
+    }
+
+    /// Whether every level is reached.
+    pub fn is_complete(&self) -> bool {
+        self.pending.is_empty()
+    }
+
+    /// Triangles at which the image-driven stage takes over: a multiple of the finest level that
+    /// is below the original.
+    pub fn image_start(&self, factor: f64) -> usize {
+        let finest = self.pending.iter().rev().find(|t| **t < self.n_original);
+        finest.map_or(self.n_original, |t| (*t as f64 * factor).ceil() as usize)
+    }
+
+    /// Remembers why the work on the next level ended.
+    pub fn set_stop(&mut self, by: StoppedBy) {
+        self.stop = by;
+    }
+
+    /// Remembers the energy of the current mesh.
+    pub fn set_energy(&mut self, energy: u64, d2: f64) {
+        self.energy = Some(energy);
+        self.d2 = Some(d2);
+    }
+
+    /// Takes the current mesh as the next level. False when no later level can be reached.
+    pub fn take(&mut self, mesh: &EditMesh, recorder: &mut Recorder<'_>) -> bool {
+        let Some(target) = self.pending.pop() else { return false };
+        let first = self.asked.iter().position(|t| *t == target).unwrap_or(0);
+        recorder.mark_level(&format!("lod-{first}"));
+        self.done.push(Level {
+            target,
+            mesh: mesh.snapshot(),
+            energy: self.energy,
+            d2: self.d2,
+            stopped_by: self.stop,
+        });
+        matches!(self.stop, StoppedBy::Input | StoppedBy::Triangles) && !self.pending.is_empty()
+    }
+
+    /// Gives every level that was not reached the coarsest mesh there is.
+    pub fn close(&mut self, mesh: &EditMesh, recorder: &mut Recorder<'_>) {
+        while !self.pending.is_empty() {
+            self.take(mesh, recorder);
+        }
+    }
+
+    /// Levels in the order asked for.
+    pub fn in_order(&self) -> impl Iterator<Item = &Level> {
+        self.asked.iter().filter_map(|t| self.done.iter().find(|l| l.target == *t))
+    }
+}

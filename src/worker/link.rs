@@ -1,0 +1,231 @@
+//! The connection to the server: every call of the worker API, repeated until it is answered.
+
+use std::{path::Path, time::Duration};
+
+use futures::stream;
+use tokio::{
+    io::AsyncReadExt,
+    time::{Instant, timeout},
+};
+use tonic::{Response, Status, transport::Channel};
+
+use crate::{
+    jobs::{
+        lease::Lease,
+        store::{Appended, Artifact, Outcome},
+    },
+    service::{
+        client::{Backoff, BadUrl, channel, is_transient},
+        convert,
+        proto::worker::v1::{self as wire, worker_service_client::WorkerServiceClient},
+        status::{STALE_LEASE, reason_of},
+    },
+};
+
+/// A call that takes longer is repeated.
+const CALL: Duration = Duration::from_secs(30);
+/// The same for a call that moves a whole file.
+const TRANSFER: Duration = Duration::from_hours(1);
+/// How long a claim waits for a job.
+const CLAIM_WAIT_SECS: f64 = 20.0;
+/// Bytes of a chunk sent.
+const CHUNK: usize = 256 << 10;
+
+/// The connection to the server.
+#[derive(Clone, Debug)]
+pub struct Link {
+    client: WorkerServiceClient<Channel>,
+    give_up: Duration,
+}
+
+/// A call has no result, and will have none.
+#[derive(Debug, thiserror::Error)]
+pub enum LinkError {
+    /// The job is no longer this worker's.
+    #[error("{0}")]
+    Stale(String),
+    /// The server refused the call.
+    #[error("the server refused: {}", .0.message())]
+    Refused(Box<Status>),
+    /// No answer for too long.
+    #[error("no answer from the server for {} s: {last}", .secs)]
+    Unreachable {
+        /// Seconds waited.
+        secs: u64,
+        /// What the last attempt met.
+        last: String,
+    },
+    /// A file of the result cannot be read.
+    #[error("{path}: {source}")]
+    File {
+        /// Which.
+        path: String,
+        /// Why.
+        source: std::io::Error,
+    },
+}
+
+impl Link {
+    /// Connects at the first call; gives a call up when there was no answer for `give_up`.
+    pub fn new(url: &str, give_up: Duration) -> Result<Self, BadUrl> {
+        Ok(Self { client: WorkerServiceClient::new(channel(url)?), give_up })
+    }
+
+    /// Asks once for a job, waiting a while for one to come.
+    pub async fn claim(&self, worker: &str) -> Result<Option<wire::Assignment>, Status> {
+        let request = wire::ClaimRequest {
+            worker: worker.into(),
+            version: env!("CARGO_PKG_VERSION").into(),
+            wait_secs: CLAIM_WAIT_SECS,
+        };
+        let late = |_| Status::deadline_exceeded("the claim was not answered");
+        let answer = timeout(CALL, self.client.clone().claim(request)).await.map_err(late)??;
+        Ok(answer.into_inner().assignment)
+    }
+
+    /// Extends the lease; true when the attempt should stop.
+    pub async fn heartbeat(&self, lease: &Lease) -> Result<bool, LinkError> {
+        let request = wire::HeartbeatRequest { lease: Some(convert::lease_to_wire(lease)) };
+        let call = |mut client: WorkerServiceClient<Channel>| {
+            let request = request.clone();
+            async move { client.heartbeat(request).await }
+        };
+        Ok(self.answered(CALL, call).await?.cancel_requested)
+    }
+
+    /// The bytes of the input.
+    pub async fn fetch_mesh(&self, lease: &Lease) -> Result<Vec<u8>, LinkError> {
+        let request = wire::FetchMeshRequest { lease: Some(convert::lease_to_wire(lease)) };
+        let call = |mut client: WorkerServiceClient<Channel>| {
+            let request = request.clone();
+            async move {
+                let mut chunks = client.fetch_mesh(request).await?.into_inner();
+                let mut bytes = Vec::new();
+                while let Some(chunk) = chunks.message().await? {
+                    bytes.extend_from_slice(&chunk.data);
+                }
+                Ok(Response::new(bytes))
+            }
+        };
+        self.answered(TRANSFER, call).await
+    }
+
+    /// Sends a batch of events, the first of which is the attempt's number `first`.
+    pub async fn append(
+        &self,
+        lease: &Lease,
+        first: u64,
+        events: Vec<wire::WorkerEvent>,
+    ) -> Result<Appended, LinkError> {
+        let lease = Some(convert::lease_to_wire(lease));
+        let request = wire::AppendEventsRequest { lease, first_index: first, events };
+        let call = |mut client: WorkerServiceClient<Channel>| {
+            let request = request.clone();
+            async move { client.append_events(request).await }
+        };
+        let answer = self.answered(CALL, call).await?;
+        Ok(Appended { held: answer.appended, cancel_requested: answer.cancel_requested })
+    }
+
+    /// Sends a file of the result.
+    pub async fn put_artifact(
+        &self,
+        lease: &Lease,
+        artifact: &Artifact,
+        path: &Path,
+    ) -> Result<(), LinkError> {
+        let header = wire::PutArtifactHeader {
+            lease: Some(convert::lease_to_wire(lease)),
+            file: artifact.file.clone(),
+            media_type: artifact.media_type.clone(),
+            size: artifact.size,
+            blake3: artifact.blake3.clone(),
+        };
+        let call = |mut client: WorkerServiceClient<Channel>| {
+            let header = header.clone();
+            async move {
+                let file = tokio::fs::File::open(path).await.map_err(|e| unreadable(path, &e))?;
+                client.put_artifact(artifact_parts(header, file)).await
+            }
+        };
+        self.answered(TRANSFER, call).await?;
+        Ok(())
+    }
+
+    /// Ends the attempt.
+    pub async fn complete(&self, lease: &Lease, outcome: Outcome) -> Result<(), LinkError> {
+        let request = wire::CompleteRequest {
+            lease: Some(convert::lease_to_wire(lease)),
+            outcome: Some(convert::outcome_to_wire(outcome)),
+        };
+        let call = |mut client: WorkerServiceClient<Channel>| {
+            let request = request.clone();
+            async move { client.complete(request).await }
+        };
+        self.answered(CALL, call).await?;
+        Ok(())
+    }
+
+    /// Repeats `call` until the server answers it.
+    async fn answered<T, F>(
+        &self,
+        limit: Duration,
+        call: impl Fn(WorkerServiceClient<Channel>) -> F,
+    ) -> Result<T, LinkError>
+    where
+        F: Future<Output = Result<Response<T>, Status>>,
+    {
+        let mut backoff = Backoff::default();
+        let mut since = None;
+        loop {
+            let status = match timeout(limit, call(self.client.clone())).await {
+                Ok(Ok(answer)) => return Ok(answer.into_inner()),
+                Ok(Err(status)) => status,
+                Err(_) => Status::deadline_exceeded("the call was not answered"),
+            };
+            if !is_transient(&status) {
+                return Err(refusal(status));
+            }
+            // The minute begins when the first failure is noticed, not when the call began.
+            let since = *since.get_or_insert_with(Instant::now);
+            if since.elapsed() > self.give_up {
+                let (secs, last) = (since.elapsed().as_secs(), status.message().into());
+                return Err(LinkError::Unreachable { secs, last });
+            }
+            tracing::debug!(status = status.message(), "no answer, trying again");
+            backoff.pause().await;
+        }
+    }
+}
+
+fn refusal(status: Status) -> LinkError {
+    match reason_of(&status).as_deref() {
+        Some(STALE_LEASE) => LinkError::Stale(status.message().into()),
+        _ => LinkError::Refused(Box::new(status)),
+    }
+}
+
+fn unreadable(path: &Path, error: &std::io::Error) -> Status {
+    Status::failed_precondition(format!("{}: {error}", path.display()))
+}
+
+/// The header, then the file in chunks. A file that cannot be read on ends the stream early, and the
+/// server sees that it is not what was announced.
+fn artifact_parts(
+    header: wire::PutArtifactHeader,
+    file: tokio::fs::File,
+) -> impl stream::Stream<Item = wire::PutArtifactRequest> {
+    use wire::put_artifact_request::Part;
+    stream::unfold((Some(header), file), |(header, mut file)| async move {
+        let part = if let Some(header) = header {
+            Part::Header(header)
+        } else {
+            let mut chunk = prost::bytes::BytesMut::with_capacity(CHUNK);
+            match file.read_buf(&mut chunk).await {
+                Ok(1..) => Part::Chunk(chunk.freeze()),
+                _ => return None,
+            }
+        };
+        Some((wire::PutArtifactRequest { part: Some(part) }, (None, file)))
+    })
+}

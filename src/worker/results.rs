@@ -1,0 +1,214 @@
+//! The files of a result.
+
+use std::{fmt::Write as _, fs, path::Path, time::Instant};
+
+use serde::Serialize;
+
+use crate::{
+    compare,
+    io::{self, IngestReport},
+    jobs::{event::EnergySample, spec::Spec},
+    mesh::{Mesh, Stage},
+};
+
+use super::{
+    levels::{Level, Levels, StoppedBy},
+    pipeline::PipelineError,
+    recorder::Recorder,
+};
+
+/// What a stage cost.
+#[derive(Clone, Debug, Serialize)]
+pub struct StageFigures {
+    /// `memoryless`, `image` or `optimize`.
+    pub stage: &'static str,
+    /// Who judged: `native` or the adapter's name.
+    pub device: String,
+    /// Seconds, set-up included.
+    pub seconds: f64,
+    /// Of these, seconds of set-up: pictures of the original, measuring devices.
+    pub setup_secs: f64,
+    /// Candidate moves judged.
+    pub evaluations: u64,
+    /// Per second, set-up left out.
+    pub evaluations_per_second: f64,
+    /// Edges collapsed.
+    pub collapses: u64,
+    #[serde(skip)]
+    begun: Option<Instant>,
+}
+
+impl StageFigures {
+    /// A stage begins.
+    pub fn begin(stage: Stage, device: &str) -> Self {
+        Self {
+            stage: stage.name(),
+            device: device.into(),
+            seconds: 0.0,
+            setup_secs: 0.0,
+            evaluations: 0,
+            evaluations_per_second: 0.0,
+            collapses: 0,
+            begun: Some(Instant::now()),
+        }
+    }
+
+    /// Adds work done.
+    pub fn add(&mut self, collapses: u64, evaluations: u64) {
+        self.collapses += collapses;
+        self.evaluations += evaluations;
+    }
+
+    /// The stage is over.
+    #[must_use]
+    pub fn end(mut self) -> Self {
+        let running = self.begun.map_or(0.0, |b| b.elapsed().as_secs_f64());
+        self.seconds = running + self.setup_secs;
+        self.evaluations_per_second = self.evaluations as f64 / running.max(1e-9);
+        self
+    }
+}
+
+/// What `report.json` is made of.
+pub struct Attempt<'a> {
+    /// The job.
+    pub spec: &'a Spec,
+    /// What was read.
+    pub ingest: &'a IngestReport,
+    /// What the stages cost.
+    pub figures: &'a [StageFigures],
+    /// When the attempt began.
+    pub start: Instant,
+}
+
+#[derive(Serialize)]
+struct ReportFile<'a> {
+    version: &'static str,
+    seed: u64,
+    device: &'a str,
+    input: &'a IngestReport,
+    spec: &'a Spec,
+    levels: Vec<LevelReport>,
+    stages: &'a [StageFigures],
+    records: u32,
+    seconds: f64,
+}
+
+#[derive(Serialize)]
+struct LevelReport {
+    file: String,
+    asked: usize,
+    triangles: usize,
+    vertices: usize,
+    /// On the run-time views, percent of full scale; absent without pictures.
+    d2_percent: Option<f64>,
+    energy: Option<u64>,
+    stopped_by: StoppedBy,
+}
+
+/// Writes every artifact and tells of each.
+pub fn write_all(
+    out_dir: &Path,
+    original: &Mesh,
+    levels: &Levels,
+    recorder: &mut Recorder<'_>,
+    attempt: &Attempt<'_>,
+) -> Result<(), PipelineError> {
+    let progressive = recorder.finish()?;
+    fs::create_dir_all(out_dir)?;
+    let mut out = Output { dir: out_dir, recorder };
+    let mut reports = Vec::new();
+    for (i, level) in levels.in_order().enumerate() {
+        let file = format!("lod-{i}.glb");
+        out.write(&file, "model/gltf-binary", &io::write_glb(&level.mesh)?)?;
+        reports.push(level_report(file, level));
+    }
+    out.write("progressive.lkpm", "application/octet-stream", &progressive)?;
+    write_pictures(&mut out, original, levels)?;
+    let samples = &out.recorder.samples;
+    let csv = energy_csv(samples);
+    let points: Vec<_> = samples.iter().map(curve_point).collect();
+    out.write("energy.csv", "text/csv", csv.as_bytes())?;
+    if points.iter().any(|p| p.d2.is_some()) {
+        let marks = reports.iter().map(|r| r.triangles as u32).collect();
+        let params = compare::PlotParams { levels: marks, ..compare::PlotParams::default() };
+        let plot = compare::energy_plot(&points, &params);
+        out.write("energy.svg", "image/svg+xml", plot.as_bytes())?;
+    }
+    let report = ReportFile {
+        version: env!("CARGO_PKG_VERSION"),
+        seed: attempt.spec.seed,
+        device: attempt.figures.last().map_or("native", |f| f.device.as_str()),
+        input: attempt.ingest,
+        spec: attempt.spec,
+        levels: reports,
+        stages: attempt.figures,
+        records: out.recorder.n_records(),
+        seconds: attempt.start.elapsed().as_secs_f64(),
+    };
+    let json = serde_json::to_vec_pretty(&report)
+        .map_err(|e| PipelineError::Machine(format!("cannot write report.json: {e}")))?;
+    out.write("report.json", "application/json", &json)
+}
+
+struct Output<'a, 'r> {
+    dir: &'a Path,
+    recorder: &'a mut Recorder<'r>,
+}
+
+impl Output<'_, '_> {
+    fn write(&mut self, name: &str, media_type: &str, bytes: &[u8]) -> Result<(), PipelineError> {
+        fs::write(self.dir.join(name), bytes)?;
+        self.recorder.artifact(name, media_type, bytes.len() as u64)
+    }
+}
+
+fn level_report(file: String, level: &Level) -> LevelReport {
+    LevelReport {
+        file,
+        asked: level.target,
+        triangles: level.mesh.faces.len(),
+        vertices: level.mesh.positions.len(),
+        d2_percent: level.d2,
+        energy: level.energy,
+        stopped_by: level.stopped_by,
+    }
+}
+
+fn write_pictures(
+    out: &mut Output<'_, '_>,
+    original: &Mesh,
+    levels: &Levels,
+) -> Result<(), PipelineError> {
+    for (i, level) in levels.in_order().enumerate() {
+        let png = compare::sheet(original, &level.mesh, &compare::SheetParams::default());
+        out.write(&format!("contact-{i}.png"), "image/png", &png)?;
+    }
+    let chain: Vec<&Mesh> = levels.in_order().map(|l| &l.mesh).collect();
+    let png =
+        compare::sheet_multi(original, &chain, &compare::SheetParams::chain(compare::Axis::Y));
+    out.write("levels.png", "image/png", &png)
+}
+
+fn energy_csv(samples: &[EnergySample]) -> String {
+    let mut csv = String::from("seq,stage,evaluations,seconds,triangles,energy,d2\n");
+    for (seq, s) in samples.iter().enumerate() {
+        let energy = s.energy.map_or_else(String::new, |e| e.to_string());
+        let d2 = s.d2.map_or_else(String::new, |d| format!("{d:.6}"));
+        // Writing to a String cannot fail.
+        let _ = writeln!(
+            csv,
+            "{seq},{},{},{:.3},{},{energy},{d2}",
+            s.stage, s.evaluations, s.seconds, s.triangles
+        );
+    }
+    csv
+}
+
+fn curve_point(s: &EnergySample) -> compare::CurvePoint {
+    let stage = [Stage::Memoryless, Stage::Image, Stage::Optimize]
+        .into_iter()
+        .find(|stage| stage.name() == s.stage)
+        .unwrap_or(Stage::Image);
+    compare::CurvePoint { stage, evaluations: s.evaluations, triangles: s.triangles, d2: s.d2 }
+}

@@ -1,0 +1,166 @@
+//! Keeps a server's own workers alive: one child process each, started again with a growing pause.
+//!
+//! 1. A child gets a new identity at every start, so that its old leases cannot be mistaken for new.
+//! 2. `LP_*` variables are withheld from children: `LP_NATIVE_VECTOR_WIDTH` makes Mesa's software
+//!    rasterizer corrupt its heap.
+//! 3. Children may outlive a killed server; they hold their lock file until they end.
+//!
+//! Knows nothing of jobs: it reports who is gone.
+
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+    process::Stdio,
+    time::{Duration, Instant},
+};
+
+use futures::future::join_all;
+use rustix::process::{Pid, Signal, kill_process};
+use tokio::process::{Child, Command};
+use tokio_util::sync::CancellationToken;
+
+/// A child that lived this long was no false start.
+const SOUND: Duration = Duration::from_secs(10);
+const FIRST_PAUSE: Duration = Duration::from_millis(200);
+const LONGEST_PAUSE: Duration = Duration::from_secs(10);
+
+/// The workers of a server.
+#[derive(Clone, Debug)]
+pub struct Crew {
+    /// The server's URL.
+    pub url: String,
+    /// Device of every worker.
+    pub device: String,
+    /// How many.
+    pub n_workers: usize,
+    /// Where lock files are kept, one a worker: `{id}.lock`.
+    pub locks: PathBuf,
+    /// Where workers keep the files of jobs at work, one folder a worker.
+    pub scratch: PathBuf,
+    /// Stands in for an unset `XDG_RUNTIME_DIR`, without which Mesa is noisy.
+    pub runtime_dir: PathBuf,
+    /// Log in JSON.
+    pub log_json: bool,
+    /// How long a child may take to hand its job back.
+    pub drain: Duration,
+}
+
+impl Crew {
+    /// Keeps the workers running until `shutdown`; tells `gone` the identity of each that ended.
+    pub async fn run(&self, shutdown: CancellationToken, gone: impl AsyncFn(String)) {
+        self.sweep_scratch();
+        if let Err(error) = self.create_runtime_dir() {
+            tracing::warn!(%error, "no runtime folder for workers");
+        }
+        join_all((0..self.n_workers).map(|_| self.keep(&shutdown, &gone))).await;
+    }
+
+    /// Keeps one worker running.
+    async fn keep(&self, shutdown: &CancellationToken, gone: &impl AsyncFn(String)) {
+        let mut pause = FIRST_PAUSE;
+        while !shutdown.is_cancelled() {
+            let id = format!("local-{}", uuid::Uuid::new_v4().simple());
+            let start = Instant::now();
+            match self.spawn(&id) {
+                Ok(child) => self.watch(child, &id, shutdown).await,
+                Err(error) => tracing::error!(%error, "a worker cannot be started"),
+            }
+            gone(id.clone()).await;
+            let _ = fs::remove_dir_all(self.scratch.join(&id));
+            pause =
+                if start.elapsed() > SOUND { FIRST_PAUSE } else { (pause * 2).min(LONGEST_PAUSE) };
+            tokio::select! {
+                () = tokio::time::sleep(pause) => {}
+                () = shutdown.cancelled() => {}
+            }
+        }
+    }
+
+    /// Waits until a child has ended; asks it to when the server shuts down.
+    async fn watch(&self, mut child: Child, id: &str, shutdown: &CancellationToken) {
+        let pid = child.id();
+        tracing::info!(worker = id, pid, "worker started");
+        tokio::select! {
+            status = child.wait() => tracing::warn!(worker = id, ?status, "worker ended"),
+            () = shutdown.cancelled() => {
+                let pid = pid.and_then(|pid| Pid::from_raw(pid as i32));
+                if let Some(pid) = pid {
+                    // It may have ended by itself just now.
+                    let _ = kill_process(pid, Signal::TERM);
+                }
+                if tokio::time::timeout(self.drain, child.wait()).await.is_err() {
+                    tracing::warn!(worker = id, "worker did not end in time and is killed");
+                    let _ = child.kill().await;
+                }
+            }
+        }
+    }
+
+    fn spawn(&self, id: &str) -> io::Result<Child> {
+        let mut command = Command::new(program());
+        command.arg0("lookalike").arg("worker").arg("--supervised");
+        command
+            .arg("--connect")
+            .arg(&self.url)
+            .arg("--device")
+            .arg(&self.device)
+            .arg("--id")
+            .arg(id);
+        command.arg("--lock").arg(self.locks.join(format!("{id}.lock")));
+        command.arg("--scratch").arg(self.scratch.join(id));
+        if self.log_json {
+            command.arg("--log-json");
+        }
+        for (name, _) in std::env::vars_os() {
+            if is_withheld(&name.to_string_lossy()) {
+                command.env_remove(name);
+            }
+        }
+        if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
+            command.env("XDG_RUNTIME_DIR", &self.runtime_dir);
+        }
+        command.stdin(Stdio::null()).spawn()
+    }
+
+    fn create_runtime_dir(&self) -> io::Result<()> {
+        use std::os::unix::fs::PermissionsExt;
+        fs::create_dir_all(&self.runtime_dir)?;
+        fs::set_permissions(&self.runtime_dir, fs::Permissions::from_mode(0o700))
+    }
+
+    /// Removes the folders of workers that no longer live; those that do have a lock file.
+    fn sweep_scratch(&self) {
+        for entry in fs::read_dir(&self.scratch).into_iter().flatten().flatten() {
+            let id = entry.file_name().to_string_lossy().into_owned();
+            if !self.locks.join(format!("{id}.lock")).exists() {
+                let _ = fs::remove_dir_all(entry.path());
+            }
+        }
+    }
+}
+
+fn is_withheld(variable: &str) -> bool {
+    variable.starts_with("LP_")
+}
+
+/// This program. The link stays good when the file is replaced by an upgrade.
+fn program() -> PathBuf {
+    let link = Path::new("/proc/self/exe");
+    if link.exists() {
+        link.into()
+    } else {
+        std::env::current_exe().unwrap_or_else(|_| link.into())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rasterizer_variables_are_withheld() {
+        assert!(is_withheld("LP_NATIVE_VECTOR_WIDTH"));
+        assert!(!is_withheld("HELP_ME"));
+        assert!(!is_withheld("PATH"));
+    }
+}

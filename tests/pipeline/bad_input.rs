@@ -1,0 +1,116 @@
+//! Malformed, degenerate and impossible: a clear error or a sensible result with a stated reason.
+
+use lookalike::{
+    io::{Limits, read},
+    jobs::spec::{Method, Spec},
+    worker::pipeline::PipelineError,
+};
+
+use super::support::{job, real_model, sample};
+
+/// An OBJ of the given faces over four corners of a square and an apex.
+fn obj(faces: &str) -> Vec<u8> {
+    format!("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0.5 0.5 1\n{faces}").into_bytes()
+}
+
+#[test]
+fn files_that_cannot_be_read_are_refused_with_the_reason() {
+    let glb = sample(2000);
+    let cases: [(&str, &str, Vec<u8>); 6] = [
+        ("an empty file", "a.glb", Vec::new()),
+        ("a truncated GLB", "a.glb", glb[..glb.len() / 2].to_vec()),
+        (
+            "a position that is not a number",
+            "a.obj",
+            b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n".into(),
+        ),
+        ("an index out of range", "a.obj", obj("f 1 2 9\n")),
+        ("degenerate triangles alone", "a.obj", obj("f 1 1 2\nf 3 3 3\n")),
+        ("no format at all", "a.xyz", b"hello".into()),
+    ];
+    for (what, name, bytes) in cases {
+        let done = job(&Spec::new(vec![10]), name, &bytes, "cpu");
+        let Err(PipelineError::Job { code, text }) = &done.result else {
+            panic!("{what}: {:?}", done.result);
+        };
+        assert!(!code.is_empty() && text.contains(name), "{what}: {code}: {text}");
+        assert!(done.files.is_empty(), "{what} left files");
+    }
+}
+
+#[test]
+fn a_target_above_the_input_gives_the_original_and_says_so() {
+    // A pyramid of six triangles asked for twenty.
+    let pyramid = obj("f 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5\nf 1 3 2\nf 1 4 3\n");
+    for method in [Method::Image, Method::Memoryless] {
+        let spec = Spec { method, ..Spec::new(vec![20]) };
+        let done = job(&spec, "pyramid.obj", &pyramid, "cpu");
+        assert!(done.result.is_ok(), "{:?}", done.result);
+        assert!(done.has_note("TARGET_NOT_BELOW_INPUT"), "{:?}", done.notes);
+        let level = &done.report()["levels"][0];
+        assert_eq!(
+            (level["triangles"].as_u64(), level["stopped_by"].as_str()),
+            (Some(6), Some("input"))
+        );
+    }
+}
+
+#[test]
+fn a_target_out_of_reach_stops_with_the_reason() {
+    // A closed surface cannot have two triangles and keep its topology.
+    let pyramid = obj("f 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5\nf 1 3 2\nf 1 4 3\n");
+    let done = job(&Spec::new(vec![2]), "pyramid.obj", &pyramid, "cpu");
+    let level = done.report()["levels"][0].clone();
+    assert_eq!(level["stopped_by"], "no_legal_collapse");
+    assert_eq!(level["triangles"], 4);
+}
+
+#[test]
+fn a_spent_budget_stops_with_the_reason_and_keeps_what_there_is() {
+    let spec = Spec { max_evaluations: 500, ..Spec::new(vec![1500, 100]) };
+    let done = job(&spec, "sample.glb", &sample(6000), "cpu");
+    assert!(done.result.is_ok(), "{:?}", done.result);
+    let report = done.report();
+    assert_eq!(report["levels"][1]["stopped_by"], "evaluations");
+    for level in ["lod-0.glb", "lod-1.glb"] {
+        assert!(read(level, &done.files[level], &Limits::default()).is_ok());
+    }
+}
+
+#[test]
+fn cancelling_stops_the_job_at_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let device = lookalike::worker::pipeline::DeviceChoice("cpu".into());
+    let spec = Spec::new(vec![300]);
+    let mut reports = 0;
+    let result = lookalike::worker::pipeline::run(
+        &spec,
+        "sample.glb",
+        &sample(6000),
+        dir.path(),
+        &device,
+        &mut |_| {
+            reports += 1;
+            if reports == 5 {
+                std::ops::ControlFlow::Break(())
+            } else {
+                std::ops::ControlFlow::Continue(())
+            }
+        },
+    );
+    assert!(matches!(result, Err(PipelineError::Cancelled)), "{result:?}");
+    assert_eq!(reports, 5);
+}
+
+#[test]
+fn a_non_manifold_soup_is_simplified_as_far_as_its_topology_allows() {
+    let Some(house) = real_model("house_scene.glb") else { return };
+    let done = job(&Spec::new(vec![5000, 1000]), "house_scene.glb", &house, "cpu");
+    assert!(done.result.is_ok(), "{:?}", done.result);
+    for level in done.report()["levels"].as_array().unwrap() {
+        let (asked, got) = (level["asked"].as_u64().unwrap(), level["triangles"].as_u64().unwrap());
+        let reason = level["stopped_by"].as_str().unwrap();
+        assert!(got <= asked || reason == "no_legal_collapse", "{got} of {asked}: {reason}");
+    }
+    assert_eq!(done.records, done.report()["records"].as_u64().unwrap());
+}

@@ -1,0 +1,65 @@
+//! Same input, specification and build: same bytes, whatever computes them.
+
+use lookalike::{
+    io::{Limits, read, write_glb},
+    jobs::spec::{Effort, Render, Shading, Spec},
+    progressive::Reader,
+    render::adapters,
+};
+
+use super::support::{job, sample};
+
+fn specs() -> [Spec; 3] {
+    let small = Render { n_views: 6, image_size: 128, ..Render::default() };
+    let smooth = Render { shading: Shading::Smooth, ..small.clone() };
+    [
+        Spec { effort: Effort::Fast, render: small.clone(), ..Spec::new(vec![900, 300]) },
+        Spec { effort: Effort::Balanced, render: smooth, ..Spec::new(vec![700]) },
+        Spec { effort: Effort::Best, render: small, start_factor: 2.0, ..Spec::new(vec![700]) },
+    ]
+}
+
+#[test]
+fn threads_do_not_matter() {
+    let input = sample(4000);
+    for spec in specs() {
+        let runs = [1, 2, 5].map(|n| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap();
+            pool.install(|| job(&spec, "sample.glb", &input, "cpu").timeless())
+        });
+        assert_eq!(runs[0], runs[1]);
+        assert_eq!(runs[0], runs[2]);
+    }
+}
+
+#[test]
+fn devices_do_not_matter() {
+    let fit: Vec<_> = adapters().into_iter().filter(|a| a.unfit.is_none()).collect();
+    if fit.is_empty() {
+        eprintln!("skipped: no Vulkan adapter (install mesa-vulkan-drivers)");
+    }
+    let input = sample(3000);
+    for adapter in fit {
+        for spec in &specs()[..2] {
+            let native = job(spec, "sample.glb", &input, "cpu");
+            let device = job(spec, "sample.glb", &input, &adapter.name);
+            assert!(device.result.is_ok(), "{}: {:?}", adapter.name, device.result);
+            assert_eq!(native.timeless(), device.timeless(), "{}", adapter.name);
+        }
+    }
+}
+
+#[test]
+fn the_progressive_file_holds_every_level() {
+    let input = sample(4000);
+    let done = job(&specs()[0], "sample.glb", &input, "cpu");
+    let reader = Reader::open(&done.files["progressive.lkpm"]).unwrap();
+    assert_eq!(reader.header().levels.len(), 2);
+    for level in &reader.header().levels {
+        let mesh = reader.extract(level.faces).unwrap();
+        let wanted = &done.files[&format!("{}.glb", level.name)];
+        assert_eq!(&write_glb(&mesh).unwrap(), wanted, "{}", level.name);
+    }
+    let original = read("sample.glb", &input, &Limits::default()).unwrap().mesh;
+    assert_eq!(reader.extract(original.faces.len() as u32).unwrap(), original);
+}

@@ -1,0 +1,13 @@
+//! Whole jobs in one process: files in, files out.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test fails by panicking"
+)]
+
+mod bad_input;
+mod determinism;
+mod quality;
+mod support;

@@ -1,0 +1,156 @@
+//! The command line as scripts use it.
+
+use std::{fs, process::Stdio};
+
+use lookalike::jobs::state::State;
+
+use crate::support::{
+    JOB, LONG_JOB, Server, create, ended, eventually, free_ports, job, lookalike, reference,
+    results, small_torus, state, torus,
+};
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+#[test]
+fn submit_and_run_leave_the_same_files() {
+    let server = Server::start();
+    let reference = reference(&server);
+    let (file, out) = (server.file("torus.ply", &small_torus()), server.dir.path().join("out"));
+    let out_text = out.display().to_string();
+    let output = server.run("submit", &[&[&*file, "--out", &out_text], &JOB[..]].concat());
+    assert!(output.status.success(), "{output:?}");
+    assert_eq!(results(&out), reference);
+    let listed = text(&output.stdout);
+    assert!(listed.lines().any(|line| line.ends_with("/lod-1.glb")), "{listed}");
+
+    let jobs = text(&server.run("jobs", &["--json", "--state=succeeded"]).stdout);
+    let job: serde_json::Value = serde_json::from_str(jobs.trim()).unwrap();
+    assert_eq!(job["state"], "SUCCEEDED");
+    assert_eq!(job["spec"]["triangles"], serde_json::json!([500, 200]));
+    assert_eq!(text(&server.run("jobs", &["--state=failed,queued"]).stdout), "");
+
+    let name = job["name"].as_str().unwrap();
+    let watched = server.run("watch", &[name, "--json"]);
+    assert!(watched.status.success());
+    let events: Vec<serde_json::Value> =
+        text(&watched.stdout).lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(events[0]["state"], "QUEUED");
+    assert_eq!(events.last().unwrap()["state"], "SUCCEEDED");
+    let tail = server.run("watch", &[name, "--json", "--after-seq=3"]);
+    assert_eq!(text(&tail.stdout).lines().count(), events.len() - 3);
+
+    let again = server.dir.path().join("again");
+    let id = name.strip_prefix("jobs/").unwrap();
+    let fetched = server.run("fetch", &[id, "--out", &again.display().to_string()]);
+    assert!(fetched.status.success(), "{fetched:?}");
+    assert_eq!(results(&again), reference);
+    assert!(server.run("delete", &[id]).status.success());
+    assert_eq!(server.run("delete", &[id]).status.code(), Some(1));
+}
+
+#[tokio::test]
+async fn a_running_job_is_cancelled() {
+    let server = Server::start();
+    let file = server.file("torus.ply", &torus(200, 200));
+    let out = server.dir.path().join("out").display().to_string();
+    let mut submit = server.command("submit", &[&[&*file, "--out", &out], &LONG_JOB[..]].concat());
+    let submit = submit.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let name = eventually("the job to run", || async {
+        let jobs = text(&server.run("jobs", &["--json", "--state=running"]).stdout);
+        let job: serde_json::Value = serde_json::from_str(jobs.lines().next()?).ok()?;
+        Some(job["name"].as_str()?.to_owned())
+    })
+    .await;
+    let cancelled = server.run("cancel", &[&name]);
+    assert!(cancelled.status.success(), "{cancelled:?}");
+    assert!(text(&cancelled.stdout).contains("CANCELLED"));
+    assert_eq!(submit.wait_with_output().unwrap().status.code(), Some(130));
+    // The worker is free again.
+    let mut client = server.client();
+    let next = create(&mut client).await;
+    assert_eq!(state(&ended(&client, &next).await), State::Succeeded);
+    assert_eq!(server.run("watch", &[&name]).status.code(), Some(130));
+    assert_eq!(server.run("cancel", &[&next]).status.code(), Some(1));
+}
+
+#[test]
+fn ctrl_c_cancels_a_submission() {
+    let server = Server::start_with(&["--workers=0"]);
+    let file = server.file("torus.ply", &small_torus());
+    let out = server.dir.path().join("out").display().to_string();
+    let mut submit = server.command("submit", &[&[&*file, "--out", &out], &JOB[..]].concat());
+    let mut submit = submit.stderr(Stdio::piped()).spawn().unwrap();
+    let mut said = std::io::BufReader::new(submit.stderr.take().unwrap());
+    let mut line = String::new();
+    while !line.contains("QUEUED") {
+        line.clear();
+        assert_ne!(std::io::BufRead::read_line(&mut said, &mut line).unwrap(), 0);
+    }
+    crate::support::signal(submit.id(), rustix::process::Signal::INT);
+    assert_eq!(submit.wait().unwrap().code(), Some(130));
+    assert!(text(&server.run("jobs", &[]).stdout).contains("CANCELLED"));
+}
+
+#[test]
+fn failures_have_their_exit_codes() {
+    let server = Server::start();
+    let out = server.dir.path().join("out").display().to_string();
+    let empty = server.file("empty.ply", b"");
+    let failed = server.run("submit", &[&empty, "--out", &out, "--triangles=5"]);
+    assert_eq!(failed.status.code(), Some(1), "{failed:?}");
+    assert!(text(&failed.stderr).contains("failed"), "{failed:?}");
+    let [nobody] = free_ports();
+    let nobody = format!("http://{nobody}");
+    for flags in [["jobs"].as_slice(), &["watch", "1"], &["cancel", "1"]] {
+        let unreachable = lookalike().args(flags).arg("--server").arg(&nobody).output().unwrap();
+        assert_eq!(unreachable.status.code(), Some(3), "{unreachable:?}");
+        assert!(text(&unreachable.stderr).contains("lookalike serve"));
+    }
+    for usage in [
+        vec!["submit", &*empty, "--out", &out],
+        vec!["submit", &*empty, "--out", &out, "--triangles=0"],
+        vec!["submit", "/nowhere.ply", "--out", &out, "--triangles=5"],
+        vec!["run", &*empty, "--out", &out, "--triangles=5", "--views=7"],
+        vec!["jobs", "--state=lost"],
+        vec!["jobs", "--server=nonsense"],
+        vec!["serve", "--listen=0.0.0.0:7420", "--data-dir", &out],
+    ] {
+        let output = lookalike().args(&usage).output().unwrap();
+        assert_eq!(output.status.code(), Some(2), "{usage:?}: {output:?}");
+        assert!(!output.stderr.is_empty());
+    }
+    let missing = server.run("watch", &["0123"]);
+    assert_eq!(missing.status.code(), Some(1), "{missing:?}");
+}
+
+#[tokio::test]
+async fn requests_with_a_name_of_their_own_can_be_repeated() {
+    let server = Server::start();
+    let file = server.file("torus.ply", &small_torus());
+    let flags = [&[&*file, "--no-wait", "--request-id=mine"], &JOB[..]].concat();
+    let first = text(&server.run("submit", &flags).stdout);
+    assert_eq!(text(&server.run("submit", &flags).stdout), first);
+    let mut client = server.client();
+    assert!(state(&job(&mut client, first.trim()).await) != State::Failed);
+    assert_eq!(text(&server.run("jobs", &[]).stdout).lines().count(), 1);
+}
+
+#[test]
+fn doctor_and_completions_print() {
+    let server = Server::start_with(&["--workers=0"]);
+    let data_dir = server.data_dir().display().to_string();
+    let [port] = free_ports();
+    let mut doctor = lookalike();
+    doctor.args(["doctor", "--json", "--listen", &port, "--data-dir", &data_dir]);
+    let output = doctor.output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+    let found: Vec<serde_json::Value> =
+        text(&output.stdout).lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let store = found.iter().find(|finding| finding["what"] == "store").unwrap();
+    assert!(store["text"].as_str().unwrap().contains("in use"));
+    let script = lookalike().args(["completions", "bash"]).output().unwrap();
+    assert!(text(&script.stdout).contains("_lookalike"));
+    assert!(fs::metadata(server.data_dir().join("jobs.sqlite3")).is_ok());
+}

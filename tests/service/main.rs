@@ -1,0 +1,18 @@
+//! The service as its users meet it: real processes, real sockets, real signals.
+//!
+//! Every test starts its own server on a free port with a data directory of its own.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test fails by panicking"
+)]
+
+mod api;
+mod command_line;
+mod lint;
+mod processes;
+mod support;
+mod torture;
+mod workers;
