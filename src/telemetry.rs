@@ -5,9 +5,11 @@
 use std::{
     io::{self, IsTerminal},
     net::SocketAddr,
+    sync::Arc,
 };
 
 use axum::{Router, routing::get};
+use futures::future::BoxFuture;
 use metrics_exporter_prometheus::{BuildError, PrometheusBuilder, PrometheusHandle};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
@@ -33,19 +35,19 @@ pub fn install_metrics() -> Result<PrometheusHandle, BuildError> {
     PrometheusBuilder::new().install_recorder()
 }
 
+/// Brings the metrics up to date; its error is shown to whoever asks for them.
+pub type Refresh = Arc<dyn Fn() -> BoxFuture<'static, Result<(), String>> + Send + Sync>;
+
 /// Serves `/metrics` (calling `refresh` before each page), `/healthz` (the process lives) and
 /// `/readyz` (the store answers) until `shutdown`.
-pub async fn serve_metrics<F>(
+pub fn serve_metrics(
     listener: TcpListener,
     page: PrometheusHandle,
-    refresh: impl Fn() -> F + Clone + Send + Sync + 'static,
+    refresh: Refresh,
     shutdown: CancellationToken,
-) -> io::Result<()>
-where
-    F: Future<Output = Result<(), String>> + Send + 'static,
-{
+) -> BoxFuture<'static, io::Result<()>> {
     use axum::http::{StatusCode, header::CONTENT_TYPE};
-    let ready = refresh.clone();
+    let ready = Arc::clone(&refresh);
     let metrics = move || async move {
         match refresh().await {
             Ok(()) => {
@@ -62,7 +64,8 @@ where
         .route("/metrics", get(metrics))
         .route("/healthz", get(async || "alive\n"))
         .route("/readyz", get(readyz));
-    axum::serve(listener, router).with_graceful_shutdown(shutdown.cancelled_owned()).await
+    let serve = axum::serve(listener, router).with_graceful_shutdown(shutdown.cancelled_owned());
+    Box::pin(serve.into_future())
 }
 
 /// Binds a socket; the error names the address and the remedy.

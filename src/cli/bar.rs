@@ -9,7 +9,7 @@ const STEPS: u64 = 1000;
 /// Shows how far a job is.
 #[derive(Debug)]
 pub(crate) struct Bar {
-    bar: ProgressBar,
+    progress: ProgressBar,
     stage: String,
     curve: String,
 }
@@ -21,7 +21,7 @@ impl Bar {
         if let Ok(style) = ProgressStyle::with_template(style) {
             bar.set_style(style);
         }
-        Self { bar, stage: String::new(), curve: String::new() }
+        Self { progress: bar, stage: String::new(), curve: String::new() }
     }
 
     /// What the log says next.
@@ -32,7 +32,7 @@ impl Bar {
                 self.line(&format!("{state}: {text}"));
             }
             Body::Server(ServerEvent::Restarted { .. }) => {
-                self.bar.set_position(0);
+                self.progress.set_position(0);
                 self.curve.clear();
             }
         }
@@ -43,7 +43,7 @@ impl Bar {
         match report {
             Report::Note { code, text } => self.line(&format!("{code}: {text}")),
             Report::Progress { stage, fraction, eta_secs } => {
-                self.bar.set_position((fraction.clamp(0.0, 1.0) * STEPS as f64) as u64);
+                self.progress.set_position((fraction.clamp(0.0, 1.0) * STEPS as f64) as u64);
                 self.stage = match eta_secs {
                     Some(secs) => format!("{stage}, {secs:.0} s to go"),
                     None => stage.clone(),
@@ -61,18 +61,18 @@ impl Bar {
 
     /// A line above the bar.
     pub(crate) fn line(&self, text: &str) {
-        if self.bar.is_hidden() {
+        if self.progress.is_hidden() {
             eprintln!("{text}");
         } else {
-            self.bar.println(text);
+            self.progress.println(text);
         }
     }
 
     pub(crate) fn finish(&self) {
-        self.bar.finish_and_clear();
+        self.progress.finish_and_clear();
     }
 
     fn show(&self) {
-        self.bar.set_message(format!("{}: {}", self.stage, self.curve));
+        self.progress.set_message(format!("{}: {}", self.stage, self.curve));
     }
 }

@@ -7,7 +7,7 @@ use futures::stream;
 use lookalike::{
     jobs::event::Event,
     service::{
-        client::{Backoff, endpoint, is_transient},
+        client::{Backoff, connect, endpoint, is_transient},
         convert,
         proto::v1::{self, lookalike_service_client::LookalikeServiceClient},
         server::MAX_MESSAGE_BYTES,
@@ -22,7 +22,7 @@ use super::exit::{Exit, Failure, refused, unreachable};
 type Client = LookalikeServiceClient<Channel>;
 
 /// A server that restarts is waited for this long.
-const PATIENCE: Duration = Duration::from_secs(60);
+const PATIENCE: Duration = Duration::from_mins(1);
 /// Bytes of an upload's chunk.
 const CHUNK: usize = 256 << 10;
 
@@ -51,7 +51,7 @@ impl Remote {
     pub(crate) async fn connect(args: &ServerArgs) -> Result<Self, Failure> {
         let url = args.server.clone();
         let endpoint = endpoint(&url).map_err(|bad| Failure::new(Exit::Usage, bad.to_string()))?;
-        let channel = endpoint.connect().await.map_err(|error| {
+        let channel = connect(endpoint).await.map_err(|error| {
             let cause = std::error::Error::source(&error).map(ToString::to_string);
             unreachable(&url, &cause.unwrap_or_else(|| error.to_string()))
         })?;

@@ -39,10 +39,7 @@ pub(crate) async fn run(args: ServeArgs) -> Result<(), Failure> {
 
     let observer = Arc::new(Observer::new());
     let (stop_workers, stop_serving) = (CancellationToken::new(), CancellationToken::new());
-    let refresh = {
-        let (jobs, observer) = (jobs.clone(), Arc::clone(&observer));
-        move || refresh(jobs.clone(), Arc::clone(&observer))
-    };
+    let refresh = refresh(jobs.clone(), Arc::clone(&observer));
     let grpc = server::serve(listener, jobs.clone(), Arc::clone(&observer), stop_serving.clone());
     let http = telemetry::serve_metrics(metrics, page, refresh, stop_serving.clone());
     let crew = crew(&config, &format!("http://{address}"));
@@ -116,10 +113,15 @@ async fn gone(jobs: &Jobs, observer: &Observer, worker: &str) {
     }
 }
 
-async fn refresh(jobs: Jobs, observer: Arc<Observer>) -> Result<(), String> {
-    let counts = jobs.counts().await.map_err(|error| error.to_string())?;
-    observer.depth(&counts);
-    Ok(())
+fn refresh(jobs: Jobs, observer: Arc<Observer>) -> telemetry::Refresh {
+    Arc::new(move || {
+        let (jobs, observer) = (jobs.clone(), Arc::clone(&observer));
+        Box::pin(async move {
+            let counts = jobs.counts().await.map_err(|error| error.to_string())?;
+            observer.depth(&counts);
+            Ok(())
+        })
+    })
 }
 
 fn crew(config: &ServeConfig, url: &str) -> Crew {

@@ -62,7 +62,7 @@ pub(crate) async fn run(args: WorkerArgs) -> Result<(), Failure> {
         give_up: Duration::from_secs(args.give_up_secs),
     };
     let drain = CancellationToken::new();
-    let mut agent = std::pin::pin!(agent::run(config, drain.clone()));
+    let mut agent = agent::run(config, drain.clone());
     let ended = tokio::select! {
         ended = &mut agent => ended,
         () = signals::asked_to_end() => {

@@ -118,10 +118,17 @@ impl Jobs {
         self.0.store.close().await;
     }
 
-    /// Takes away every lease that ran out. To be called now and then; the jobs concerned.
+    /// Takes away every lease that ran out, or whose holder's process ended (nobody waits for the
+    /// workers of an earlier server). To be called now and then; the jobs concerned.
     pub async fn sweep_leases(&self) -> Result<Vec<Job>> {
         let lost = self.0.store.lose_expired(self.0.terms.max_lost).await?;
-        Ok(self.announce(lost))
+        let mut lost = self.announce(lost);
+        for worker in self.0.store.lease_holders().await? {
+            if is_alive(&self.worker_lock(&worker)) == Some(false) {
+                lost.extend(self.worker_gone(&worker).await?);
+            }
+        }
+        Ok(lost)
     }
 
     /// Takes away what a worker holds whose process is known to have ended; the jobs concerned.

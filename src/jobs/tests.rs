@@ -19,13 +19,15 @@ use super::{
 };
 
 async fn open(dir: &Path) -> Jobs {
-    let terms = Terms { lease: Duration::from_secs(60), ..Terms::default() };
+    let terms = Terms { lease: Duration::from_mins(1), ..Terms::default() };
     Jobs::open(dir, terms, Limits::default()).await.unwrap()
 }
 
 fn bytes_of(chunks: &[&'static [u8]]) -> mpsc::Receiver<Bytes> {
     let (send, receive) = mpsc::channel(8);
-    chunks.iter().for_each(|chunk| send.try_send(Bytes::from_static(chunk)).unwrap());
+    for chunk in chunks {
+        send.try_send(Bytes::from_static(chunk)).unwrap();
+    }
     receive
 }
 
@@ -190,6 +192,12 @@ async fn workers_that_outlive_the_server_keep_their_jobs() {
     let jobs = open(dir.path()).await;
     assert!(!jobs.heartbeat(&lease).await.unwrap());
     assert!(!jobs.heartbeat(&remote).await.unwrap());
+    // The process that held the lock ends; that of the other worker cannot be seen from here.
+    assert_eq!(jobs.sweep_leases().await.unwrap(), []);
+    drop(alive);
+    assert_eq!(jobs.sweep_leases().await.unwrap().len(), 1);
+    assert!(jobs.heartbeat(&lease).await.is_err());
+    assert!(!jobs.heartbeat(&remote).await.unwrap());
 }
 
 #[tokio::test]
@@ -347,14 +355,18 @@ impl Walk {
                 let first = job.as_ref().map_or(0, |job| job.n_sent);
                 let appended = self.jobs.append(lease, first, vec![note("x")]).await;
                 assert_eq!(appended.is_ok(), job.is_some());
-                job.into_iter().for_each(|job| job.n_sent += 1);
+                if let Some(job) = job {
+                    job.n_sent += 1;
+                }
             }
             Step::Succeed(w) => {
                 let Some(lease) = self.leases.remove(&w) else { return };
                 let done = self.jobs.complete(&lease, &Outcome::Succeeded(vec![])).await;
                 let job = self.model.get_mut(&lease.job).filter(|job| holds(job, &lease));
                 assert_eq!(done.is_ok(), job.is_some());
-                job.into_iter().for_each(|job| job.state = State::Succeeded);
+                if let Some(job) = job {
+                    job.state = State::Succeeded;
+                }
             }
             Step::Release(w) => {
                 let Some(lease) = self.leases.get(&w).cloned() else { return };

@@ -38,18 +38,17 @@ impl v1::lookalike_service_server::LookalikeService for Api {
         request: Request<Streaming<v1::UploadMeshRequest>>,
     ) -> Result<Response<v1::UploadMeshResponse>, Status> {
         let mut parts = request.into_inner();
-        let header = match parts.message().await?.and_then(|message| message.part) {
-            Some(v1::upload_mesh_request::Part::Header(header)) => header,
-            _ => return Err(status::invalid("part", "the first message must be the header")),
+        let first = parts.message().await?.and_then(|message| message.part);
+        let Some(v1::upload_mesh_request::Part::Header(header)) = first else {
+            return Err(status::invalid("part", "the first message must be the header"));
         };
         let known = self.jobs.find_mesh(&header.blake3).await.map_err(|e| status_of(&e))?;
-        let mesh = match known {
-            Some(mesh) => mesh,
-            None => {
-                let announced = Announced { size: header.size, hash: header.blake3 };
-                transfer::receive(parts, mesh_chunk, |chunks| self.jobs.put_mesh(announced, chunks))
-                    .await?
-            }
+        let mesh = if let Some(mesh) = known {
+            mesh
+        } else {
+            let announced = Announced { size: header.size, hash: header.blake3 };
+            let put = |chunks| self.jobs.put_mesh(announced, chunks);
+            transfer::receive(parts, mesh_chunk, put).await?
         };
         tracing::info!(mesh = mesh.hash, bytes = mesh.size, existed = mesh.existed, "mesh stored");
         let StoredMesh { hash, size, existed } = mesh;

@@ -2,9 +2,10 @@
 
 use std::time::Duration;
 
+use futures::future::BoxFuture;
 use tonic::{
     Code, Status,
-    transport::{Channel, Endpoint},
+    transport::{Channel, Endpoint, Error},
 };
 
 use super::status::{SHUTTING_DOWN, reason_of};
@@ -29,6 +30,11 @@ pub fn endpoint(url: &str) -> Result<Endpoint, BadUrl> {
         .keep_alive_timeout(Duration::from_secs(20))
         .keep_alive_while_idle(true)
         .tcp_nodelay(true))
+}
+
+/// Connects now. Boxed, so that it is compiled with this crate.
+pub fn connect(endpoint: Endpoint) -> BoxFuture<'static, Result<Channel, Error>> {
+    Box::pin(async move { endpoint.connect().await })
 }
 
 /// [`endpoint`] as a channel that connects when first used.

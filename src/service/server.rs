@@ -2,6 +2,7 @@
 
 use std::{sync::Arc, time::Duration};
 
+use futures::future::BoxFuture;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 use tonic::transport::{Server, server::TcpIncoming};
@@ -33,7 +34,18 @@ pub enum ServeError {
 
 /// Serves `jobs` on `listener` until `shutdown`, then waits for open calls. Give it a deadline from
 /// outside: peers that never close can hold hyper's graceful shutdown for an hour.
-pub async fn serve(
+///
+/// Boxed, so that the server is compiled with this crate and not again with every user of it.
+pub fn serve(
+    listener: TcpListener,
+    jobs: Jobs,
+    observer: Arc<Observer>,
+    shutdown: CancellationToken,
+) -> BoxFuture<'static, Result<(), ServeError>> {
+    Box::pin(run(listener, jobs, observer, shutdown))
+}
+
+async fn run(
     listener: TcpListener,
     jobs: Jobs,
     observer: Arc<Observer>,
@@ -53,7 +65,7 @@ pub async fn serve(
         .http2_max_header_list_size(16 << 10)
         .http2_keepalive_interval(Some(Duration::from_secs(20)))
         .http2_keepalive_timeout(Some(Duration::from_secs(20)))
-        .max_connection_age(Duration::from_secs(3600))
+        .max_connection_age(Duration::from_hours(1))
         .add_service(health_service)
         .add_service(reflection)
         .add_service(LookalikeServiceServer::new(api).max_decoding_message_size(MAX_MESSAGE_BYTES))

@@ -22,7 +22,7 @@ use crate::jobs::{
 };
 
 /// Longest wait of a claim.
-const MAX_WAIT: Duration = Duration::from_secs(60);
+const MAX_WAIT: Duration = Duration::from_mins(1);
 
 /// Serves workers.
 #[derive(Clone, Debug)]
@@ -105,9 +105,9 @@ impl worker::worker_service_server::WorkerService for WorkerApi {
         request: Request<Streaming<worker::PutArtifactRequest>>,
     ) -> Result<Response<worker::PutArtifactResponse>, Status> {
         let mut parts = request.into_inner();
-        let header = match parts.message().await?.and_then(|message| message.part) {
-            Some(worker::put_artifact_request::Part::Header(header)) => header,
-            _ => return Err(status::invalid("part", "the first message must be the header")),
+        let first = parts.message().await?.and_then(|message| message.part);
+        let Some(worker::put_artifact_request::Part::Header(header)) = first else {
+            return Err(status::invalid("part", "the first message must be the header"));
         };
         let lease = convert::lease_from_wire(header.lease)?;
         let artifact = Artifact {

@@ -10,6 +10,7 @@ use std::{
     time::Duration,
 };
 
+use futures::future::BoxFuture;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 use tonic::Status;
@@ -79,15 +80,23 @@ pub enum WorkerError {
     Tainted,
 }
 
-/// Claims jobs and runs them until `drain`.
-pub async fn run(config: WorkerConfig, drain: CancellationToken) -> Result<(), WorkerError> {
+/// Claims jobs and runs them until `drain`. Boxed, so that it is compiled with this crate.
+pub fn run(
+    config: WorkerConfig,
+    drain: CancellationToken,
+) -> BoxFuture<'static, Result<(), WorkerError>> {
+    Box::pin(serve(config, drain))
+}
+
+async fn serve(config: WorkerConfig, drain: CancellationToken) -> Result<(), WorkerError> {
     let _lock = config.lock.as_deref().map(|path| lock(path, &config.id)).transpose()?;
     let link = Link::new(&config.url, config.give_up)?;
     let parent = rustix::process::getppid();
-    let orphaned = || config.supervised && rustix::process::getppid() != parent;
+    let supervised = config.supervised;
+    let orphaned = move || supervised && rustix::process::getppid() != parent;
     for _ in 0..MAX_JOBS {
         let assignment = tokio::select! {
-            claimed = claim(&config, &link, &orphaned) => claimed?,
+            claimed = claim(&config, &link, orphaned) => claimed?,
             () = drain.cancelled() => None,
         };
         let Some(assignment) = assignment else { break };
@@ -104,7 +113,7 @@ pub async fn run(config: WorkerConfig, drain: CancellationToken) -> Result<(), W
 async fn claim(
     config: &WorkerConfig,
     link: &Link,
-    orphaned: &impl Fn() -> bool,
+    orphaned: impl Fn() -> bool,
 ) -> Result<Option<Assignment>, WorkerError> {
     let mut backoff = Backoff::default();
     let mut silent_since: Option<Instant> = None;

@@ -8,7 +8,7 @@ use std::{
     any::Any,
     ops::ControlFlow,
     panic::{AssertUnwindSafe, catch_unwind},
-    path::{Path, PathBuf},
+    path::Path,
     time::Duration,
 };
 
@@ -194,7 +194,7 @@ impl Fault {
 fn guarded(
     work: &Work,
     input: &[u8],
-    out_dir: &PathBuf,
+    out_dir: &Path,
     device: &DeviceChoice,
     reports: &mpsc::Sender<Report>,
     stopped: &watch::Receiver<Option<Stop>>,
@@ -229,8 +229,11 @@ fn outcome(result: Result<(), Fault>, files: Vec<String>, stop: Option<Stop>) ->
             Outcome::Failed(code.into(), text)
         }
         (Err(Fault::Pipeline(PipelineError::Cancelled)), Some(Stop::Cancel)) => Outcome::Cancelled,
-        (Err(Fault::Pipeline(PipelineError::Cancelled)), _) => {
+        (Err(Fault::Pipeline(PipelineError::Cancelled)), Some(_)) => {
             Outcome::Released("the worker shuts down".into())
+        }
+        (Err(Fault::Pipeline(PipelineError::Cancelled)), None) => {
+            Outcome::AttemptFailed("a bug in the program, which stopped unasked".into())
         }
         (Err(Fault::Pipeline(PipelineError::Machine(text))), _) => Outcome::AttemptFailed(text),
     }

@@ -25,7 +25,7 @@ use crate::{
 /// A call that takes longer is repeated.
 const CALL: Duration = Duration::from_secs(30);
 /// The same for a call that moves a whole file.
-const TRANSFER: Duration = Duration::from_secs(3600);
+const TRANSFER: Duration = Duration::from_hours(1);
 /// How long a claim waits for a job.
 const CLAIM_WAIT_SECS: f64 = 20.0;
 /// Bytes of a chunk sent.

@@ -11,6 +11,7 @@
 
 mod api;
 mod command_line;
+mod lint;
 mod processes;
 mod support;
 mod torture;

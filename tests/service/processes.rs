@@ -1,6 +1,9 @@
 //! Processes that end, in peace or not.
 
-use std::time::{Duration, Instant};
+use std::{
+    process::Stdio,
+    time::{Duration, Instant},
+};
 
 use lookalike::{
     jobs::{
@@ -12,7 +15,8 @@ use lookalike::{
 use rustix::process::Signal;
 
 use crate::support::{
-    Server, create, ended, eventually, free_ports, job, log, lookalike, signal, state,
+    JOB, Server, create, ended, eventually, free_ports, job, log, lookalike, reference, results,
+    signal, small_torus, state,
 };
 
 async fn running(server: &Server, name: &str) {
@@ -77,6 +81,58 @@ async fn a_job_survives_the_death_of_its_server() {
 }
 
 #[tokio::test]
+async fn a_submission_outlasts_the_death_of_its_server() {
+    let mut server = Server::start();
+    let (file, out) = (server.file("torus.ply", &small_torus()), server.dir.path().join("out"));
+    let out_text = out.display().to_string();
+    let mut submit = server.command("submit", &[&[&*file, "--out", &out_text], &JOB[..]].concat());
+    let submit = submit.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let mut client = server.client();
+    eventually("the job", || {
+        let mut client = client.clone();
+        async move {
+            let jobs = client.list_jobs(v1::ListJobsRequest::default()).await.unwrap().into_inner();
+            jobs.jobs.first().filter(|job| state(job) != State::Queued).map(drop)
+        }
+    })
+    .await;
+    server.kill();
+    tokio::time::sleep(Duration::from_millis(200)).await;
+    server.restart();
+    let output = submit.wait_with_output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+    assert_eq!(results(&out), reference(&server));
+    let jobs = client.list_jobs(v1::ListJobsRequest::default()).await.unwrap().into_inner().jobs;
+    assert_eq!(jobs.len(), 1);
+}
+
+#[tokio::test]
+async fn workers_join_from_elsewhere_and_leave_in_peace() {
+    let server = Server::start_with(&["--workers=0"]);
+    let mut client = server.client();
+    let name = create(&mut client).await;
+    let mut worker = lookalike();
+    worker.args(["worker", "--device=cpu", "--connect", &server.url]);
+    let mut worker = worker.stderr(Stdio::null()).spawn().unwrap();
+    assert_eq!(state(&ended(&client, &name).await), State::Succeeded);
+    let next = create(&mut client).await;
+    running(&server, &next).await;
+    signal(worker.id(), Signal::TERM);
+    assert!(worker.wait().unwrap().success());
+    let handed_back = job(&mut client, &next).await;
+    assert_eq!((state(&handed_back), handed_back.attempt), (State::Queued, 1));
+}
+
+#[test]
+fn workers_give_up_on_a_server_that_never_comes() {
+    let [nobody] = free_ports();
+    let url = format!("http://{nobody}");
+    let output = lookalike().args(["worker", "--connect", &url, "--give-up-secs=1"]).output();
+    let output = output.unwrap();
+    assert_eq!(output.status.code(), Some(3), "{output:?}");
+}
+
+#[tokio::test]
 async fn the_death_of_server_and_worker_costs_an_attempt_at_once() {
     // The lease alone would keep the job for an hour.
     let mut server =
@@ -86,7 +142,9 @@ async fn the_death_of_server_and_worker_costs_an_attempt_at_once() {
     let name = create(&mut client).await;
     running(&server, &name).await;
     server.kill();
-    pids.into_iter().for_each(|pid| signal(pid, Signal::KILL));
+    for pid in pids {
+        signal(pid, Signal::KILL);
+    }
     server.restart();
     let done = ended(&client, &name).await;
     assert_eq!((state(&done), done.attempt), (State::Succeeded, 2));

@@ -78,7 +78,9 @@ pub(crate) fn torus(n_around: u32, n_through: u32) -> Vec<u8> {
             let [a, b, c, d] = [at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)];
             for face in [[a, b, c], [a, c, d]] {
                 ply.push(3);
-                face.iter().for_each(|vertex| ply.extend(vertex.to_le_bytes()));
+                for vertex in face {
+                    ply.extend(vertex.to_le_bytes());
+                }
             }
         }
     }
@@ -229,7 +231,7 @@ pub(crate) async fn eventually<T, F>(what: &str, mut attempt: impl FnMut() -> F)
 where
     F: Future<Output = Option<T>>,
 {
-    let deadline = Instant::now() + Duration::from_secs(60);
+    let deadline = Instant::now() + Duration::from_mins(1);
     loop {
         if let Some(found) = attempt().await {
             return found;

@@ -85,9 +85,9 @@ impl Store {
         if !states.is_empty() {
             query.push(" AND state IN (");
             let mut list = query.separated(", ");
-            states.iter().for_each(|state| {
+            for state in states {
                 list.push_bind(state.name());
-            });
+            }
             query.push(")");
         }
         query.push(" ORDER BY n DESC LIMIT ").push_bind(limit);

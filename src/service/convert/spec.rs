@@ -76,7 +76,7 @@ pub fn spec_from_wire(wire: Option<v1::JobSpec>) -> (Spec, Vec<Fault>) {
         effort: from_wire(&EFFORTS, wire.effort, "effort", &mut faults),
         start_factor: wire.start_factor.unwrap_or(default.start_factor),
         lambda: wire.surface_weight.unwrap_or(default.lambda),
-        render: render_from_wire(wire.render.unwrap_or_default(), &mut faults),
+        render: render_from_wire(&wire.render.unwrap_or_default(), &mut faults),
         max_evaluations: wire.max_evaluations,
         max_secs: wire.max_secs,
         seed: wire.seed,
@@ -85,7 +85,7 @@ pub fn spec_from_wire(wire: Option<v1::JobSpec>) -> (Spec, Vec<Fault>) {
     (spec, faults)
 }
 
-fn render_from_wire(wire: v1::RenderSpec, faults: &mut Vec<Fault>) -> Render {
+fn render_from_wire(wire: &v1::RenderSpec, faults: &mut Vec<Fault>) -> Render {
     let default = Render::default();
     Render {
         n_views: wire.n_views.unwrap_or(default.n_views),
