@@ -1,7 +1,7 @@
 """Is this a sound GLB, and how many triangles has it? After the glTF 2.0 specification, section 4.
 
-Independent of the server's writer and of trimesh's reader, which forgives much. Knows only what a level
-of detail may contain: one embedded buffer, no sparse accessors, plain triangles.
+Independent of the server's writer and of trimesh's reader, which forgives much. Knows only what a
+level of detail may contain: one embedded buffer, no sparse accessors, plain triangles.
 """
 
 import json
@@ -63,7 +63,9 @@ def accessor(gltf: dict[str, Any], binary: bytes, index: int) -> np.ndarray:
     width, offset = _WIDTHS[it["type"]], it.get("byteOffset", 0)
     row = width * kind.itemsize
     stride = view.get("byteStride", row)
-    check((start + offset) % kind.itemsize == 0 and stride % kind.itemsize == 0, f"{where}: unaligned")
+    check(
+        (start + offset) % kind.itemsize == 0 and stride % kind.itemsize == 0, f"{where}: unaligned"
+    )
     check(offset + stride * (it["count"] - 1) + row <= length, f"{where}: past the end of its view")
     shape, strides = (it["count"], width), (stride, kind.itemsize)
     values = np.ndarray(shape, kind, binary, start + offset, strides)

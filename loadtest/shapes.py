@@ -11,7 +11,9 @@ def ball(rng: np.random.Generator, size: int) -> trimesh.Trimesh:
     rows = max(6, int(np.sqrt(size / 4)))
     mesh = trimesh.creation.uv_sphere(count=[rows, rows])
     waves = rng.normal(size=(4, 3)) * 3
-    return moved(mesh, mesh.vertices * (1 + 0.05 * np.sin(mesh.vertices @ waves.T).sum(axis=1))[:, None])
+    return moved(
+        mesh, mesh.vertices * (1 + 0.05 * np.sin(mesh.vertices @ waves.T).sum(axis=1))[:, None]
+    )
 
 
 def torus(rng: np.random.Generator, size: int) -> trimesh.Trimesh:

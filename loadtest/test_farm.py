@@ -14,7 +14,9 @@ import glb
 import shapes
 
 HERE = Path(__file__).resolve().parent
-BINARY = Path(os.environ.get("LOOKALIKE_BIN") or HERE.parent / "target" / "release" / "lookalike").resolve()
+BINARY = Path(
+    os.environ.get("LOOKALIKE_BIN") or HERE.parent / "target" / "release" / "lookalike"
+).resolve()
 
 
 def edited(content: bytes, old: bytes, new: bytes) -> bytes:
@@ -55,7 +57,9 @@ def test_different_bytes_of_the_same_mesh_are_a_fault() -> None:
     assert farm.differences(done[:2]) == []
 
 
-@pytest.mark.parametrize("url", ["http://192.0.2.1:1", "http://example.org", "", "http://0.0.0.0:1"])
+@pytest.mark.parametrize(
+    "url", ["http://192.0.2.1:1", "http://example.org", "", "http://0.0.0.0:1"]
+)
 def test_other_machines_are_left_alone(url: str) -> None:
     with pytest.raises(SystemExit):
         farm.parser().parse_args(["--server", url])

@@ -1,7 +1,8 @@
 """Generates `src/lookalike/v1`, the typed stubs of the public API, from the protos.
 
-`setup.py` calls it, so that `pip install ./clients/python` needs nothing else. By hand, after a change
-of the protos in an editable install: `python generate.py` (needs grpcio-tools and mypy-protobuf).
+`setup.py` calls it, so that `pip install ./clients/python` needs nothing else. By hand, after a
+change of the protos in an editable install: `python generate.py` (needs grpcio-tools and
+mypy-protobuf).
 """
 
 import shutil

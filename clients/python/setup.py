@@ -1,4 +1,4 @@
-"""Generates the typed stubs before setuptools looks at the package; all else is in pyproject.toml."""
+"""Generates the typed stubs before setuptools looks at the package; see pyproject.toml."""
 
 import sys
 from pathlib import Path

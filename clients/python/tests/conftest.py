@@ -9,7 +9,9 @@ import pytest
 import lookalike
 
 ROOT = Path(__file__).resolve().parents[3]
-BINARY = Path(os.environ.get("LOOKALIKE_BIN") or ROOT / "target" / "release" / "lookalike").resolve()
+BINARY = Path(
+    os.environ.get("LOOKALIKE_BIN") or ROOT / "target" / "release" / "lookalike"
+).resolve()
 DEVICE = os.environ.get("LOOKALIKE_DEVICE") or "cpu"
 
 

@@ -83,7 +83,7 @@ class Client:
         return Run(self, job.name, progress=progress, like=like)
 
     def upload(self, model: models.Model | models.Source, file_name: str | None = None) -> str:
-        """Stores a model file; its name, `meshes/{hash}`. Bytes that are there are not sent again."""
+        """Stores a model file; its name, `meshes/{hash}`. What is there is not sent again."""
         source = model if isinstance(model, models.Source) else models.source(model, file_name)
 
         def parts() -> Iterator[api.UploadMeshRequest]:
@@ -178,7 +178,7 @@ class Client:
         return b"".join(self.stream(artifact))
 
     def stream(self, artifact: job_pb2.Artifact) -> Iterator[bytes]:
-        """The bytes of a file as they arrive; raises Damaged at the end when they are not its own."""
+        """The bytes of a file as they arrive; raises Damaged at the end when they are others."""
         patience = _Patience(self)
         hasher, n_read = blake3(), 0
         while True:

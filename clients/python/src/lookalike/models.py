@@ -43,8 +43,9 @@ class Source:
 def source(model: Model, file_name: str | None = None) -> Source:
     """Where the bytes of `model` come from.
 
-    A file is sent as it is. A trimesh object is sent as GLB, which holds single-precision positions;
-    normals travel only when trimesh has them at hand (they were in a file, or were asked for).
+    A file is sent as it is. A trimesh object is sent as GLB, which holds single-precision
+    positions; normals travel only when trimesh has them at hand (from a file, or because they
+    were asked for).
     """
     if isinstance(model, (trimesh.Trimesh, trimesh.Scene)):
         content: bytes | Path = cast(bytes, model.export(file_type="glb"))

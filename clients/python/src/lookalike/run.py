@@ -110,7 +110,8 @@ class Run:
         missing = [name for name in names if name not in here and name not in there]
         if missing:
             raise errors.ProtocolFault(
-                f"{self.job} succeeded without {missing[0]}: run server and client of the same version"
+                f"{self.job} succeeded without {missing[0]}: "
+                "run server and client of the same version"
             )
         return {
             name: here[name].read_bytes() if name in here else self._client.read(there[name])

@@ -18,8 +18,8 @@ _START_SECS = 30.0
 class Server:
     """`lookalike serve` on a free port of this machine, until the `with` block ends.
 
-    `binary` defaults to `lookalike` on the PATH. What the server logs is in `{data_dir}.log`. `flags`
-    are further flags of `lookalike serve`.
+    `binary` defaults to `lookalike` on the PATH. What the server logs is in `{data_dir}.log`.
+    `flags` are further flags of `lookalike serve`.
     """
 
     def __init__(
@@ -44,7 +44,8 @@ class Server:
         program = shutil.which(self._binary)
         if program is None:
             raise errors.ServerNotStarted(
-                f"{self._binary} is no program: build it with `cargo build --release`, and give its path"
+                f"{self._binary} is no program: build it with `cargo build --release`, "
+                "and give its path"
             )
         command = [program, "serve", f"--data-dir={self.data_dir}"]
         command += [f"--listen={self.url.removeprefix('http://')}", "--metrics-listen=127.0.0.1:0"]

@@ -1,7 +1,7 @@
 """Keywords to a job's specification, by the names that the protos give to fields and enum values.
 
-Knows no field by name except `triangles` and `render`: options appear here when the protos get them.
-Values are judged by the server, which names every fault at once.
+Knows no field by name except `triangles` and `render`: options appear here when the protos get
+them. Values are judged by the server, which names every fault at once.
 """
 
 from __future__ import annotations
