@@ -158,7 +158,7 @@ fn new_normals(
 }
 
 /// A random collapse: any edge of any live face, placed near its middle.
-fn random_move(scene: &Scene, pick: (usize, usize), offset: DVec3) -> Option<Move> {
+pub fn random_move(scene: &Scene, pick: (usize, usize), offset: DVec3) -> Option<Move> {
     let live: Vec<_> = scene.faces.iter().flatten().collect();
     let face = live.get(pick.0 % live.len().max(1))?;
     let (a, b) = (face.vertices[pick.1 % 3], face.vertices[(pick.1 + 1) % 3]);

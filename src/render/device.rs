@@ -43,6 +43,8 @@ pub(super) struct Gpu {
     pub(super) info: AdapterInfo,
     /// Bytes of one storage binding, at most.
     pub(super) max_binding: u64,
+    /// Pixels along a texture's side, at most.
+    pub(super) max_texture_side: u32,
     fault: Arc<Mutex<Option<String>>>,
 }
 
@@ -63,10 +65,26 @@ pub(super) fn describe(adapter: &wgpu::Adapter) -> AdapterInfo {
         wgpu::DeviceType::Cpu => "cpu",
         wgpu::DeviceType::Other => "other",
     };
-    let unfit = (!adapter.features().contains(wgpu::Features::IMMEDIATES))
-        .then(|| "it has no push constants".to_owned());
     let driver = format!("{} {}", info.driver, info.driver_info);
-    AdapterInfo { name: info.name, kind, driver: driver.trim().to_owned(), unfit }
+    let driver = driver.trim().to_owned();
+    AdapterInfo { name: info.name, kind, driver, unfit: unfit(adapter) }
+}
+
+/// What the kernels need of an adapter.
+const FEATURES: wgpu::Features =
+    wgpu::Features::IMMEDIATES.union(wgpu::Features::TEXTURE_ADAPTER_SPECIFIC_FORMAT_FEATURES);
+
+/// Why the kernels cannot run on an adapter, if they cannot.
+fn unfit(adapter: &wgpu::Adapter) -> Option<String> {
+    let missing = FEATURES.difference(adapter.features());
+    if !missing.is_empty() {
+        return Some(format!("it lacks {missing}"));
+    }
+    [wgpu::TextureFormat::Rgba32Uint, wgpu::TextureFormat::R32Uint].into_iter().find_map(|format| {
+        let flags = adapter.get_texture_format_features(format).flags;
+        let fit = flags.contains(wgpu::TextureFormatFeatureFlags::STORAGE_READ_WRITE);
+        (!fit).then(|| format!("it cannot read and write {format:?} textures"))
+    })
 }
 
 impl Gpu {
@@ -78,9 +96,10 @@ impl Gpu {
         }
         let limits = adapter.limits();
         let max_binding = limits.max_storage_buffer_binding_size;
+        let max_texture_side = limits.max_texture_dimension_2d;
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("lookalike"),
-            required_features: wgpu::Features::IMMEDIATES,
+            required_features: FEATURES,
             required_limits: limits,
             ..wgpu::DeviceDescriptor::default()
         };
@@ -99,7 +118,7 @@ impl Gpu {
         device.set_device_lost_callback(move |reason, message| {
             on_loss(format!("device lost ({reason:?}): {message}"));
         });
-        Ok(Self { device, queue, info, max_binding, fault })
+        Ok(Self { device, queue, info, max_binding, max_texture_side, fault })
     }
 
     /// What went wrong since the device was opened.
@@ -118,6 +137,26 @@ impl Gpu {
             size: size.max(1).next_multiple_of(16),
             usage,
             mapped_at_creation: false,
+        })
+    }
+
+    /// A texture of (width, height, layers).
+    pub(super) fn texture(
+        &self,
+        label: &str,
+        (width, height, layers): (u32, u32, u32),
+        format: wgpu::TextureFormat,
+        usage: wgpu::TextureUsages,
+    ) -> wgpu::Texture {
+        self.device.create_texture(&wgpu::TextureDescriptor {
+            label: Some(label),
+            size: wgpu::Extent3d { width, height, depth_or_array_layers: layers },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format,
+            usage,
+            view_formats: &[],
         })
     }
 

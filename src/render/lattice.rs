@@ -246,6 +246,21 @@ impl Edge {
 }
 
 impl Setup {
+    /// False only when no pixel of the rectangle is covered.
+    #[inline]
+    pub fn may_cover(&self, rect: &PixelRect) -> bool {
+        let apart = self.rect.x0 > rect.x1
+            || self.rect.x1 < rect.x0
+            || self.rect.y0 > rect.y1
+            || self.rect.y1 < rect.y0;
+        !apart
+            && self.edges.iter().all(|e| {
+                let i = if e.dx > 0 { rect.x1 } else { rect.x0 };
+                let j = if e.dy > 0 { rect.y1 } else { rect.y0 };
+                e.at(i, j) >= 0
+            })
+    }
+
     /// Whether pixel (i, j) is covered.
     #[inline(always)]
     pub fn covers(&self, i: i32, j: i32) -> bool {

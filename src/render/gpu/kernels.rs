@@ -19,12 +19,6 @@ pub(super) struct Params {
     pub(super) n_items: u32,
     /// Where the first item's result goes in the output.
     pub(super) output_at: u32,
-    /// Pixels from one row to the next.
-    pub(super) row_stride: u32,
-    /// Pixels of the group of views.
-    pub(super) n_pixels: u32,
-    /// Fragment addresses, layers and pool.
-    pub(super) n_addresses: u32,
     /// Pixels along a side of a picture.
     pub(super) size: i32,
     /// Lattice coordinate of the first pixel's centre.
@@ -33,14 +27,16 @@ pub(super) struct Params {
     pub(super) sub_bits: u32,
     /// The background as a fragment.
     pub(super) background: u32,
-    /// Building: first pixel of the view.
-    pub(super) first_pixel: u32,
+    /// Building and reading back: the view.
+    pub(super) view: u32,
     /// Building: nodes of the stacks.
     pub(super) n_nodes: u32,
+    /// Nodes of the pool.
+    pub(super) n_pool: u32,
 }
 
 /// A kernel.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Kernel {
     /// Empty lists, enter the reference.
     Clear,
@@ -48,12 +44,22 @@ pub(super) enum Kernel {
     Append,
     /// Stacks to lists.
     Sort,
-    /// Judge moves.
-    Evaluate,
     /// Make a move.
     Update,
     /// Depth bounds of tiles.
     Bounds,
+    /// Read a view's fronts back.
+    Fronts,
+    /// Judge moves of any number of triangles.
+    Evaluate,
+    /// Judge moves of few triangles under flat shading.
+    Evaluate6,
+    /// Likewise.
+    Evaluate8,
+    /// Likewise.
+    Evaluate12,
+    /// Likewise.
+    Evaluate16,
 }
 
 /// How a kernel uses the fragment lists.
@@ -64,45 +70,70 @@ enum Access {
     Build,
 }
 
-/// Name of the entry point, use of the lists, and text of each kernel.
-const KERNELS: [(Kernel, &str, Access, &[&str]); 6] = {
+/// How a kernel is made.
+struct Recipe {
+    kernel: Kernel,
+    /// Entry point.
+    entry: &'static str,
+    access: Access,
+    text: &'static [&'static str],
+    /// Triangles that come, and vectors of ids that go, for which the text is unrolled.
+    unrolled: Option<(u32, u32)>,
+}
+
+const KERNELS: [Recipe; 11] = {
     const COMMON: &str = include_str!("../shaders/common.wgsl");
     const LISTS: &str = include_str!("../shaders/lists.wgsl");
     const ITEM: &str = include_str!("../shaders/item.wgsl");
+    const JUDGE: &str = include_str!("../shaders/judge.wgsl");
+    const CLEAR: &[&str] = &[COMMON, LISTS, include_str!("../shaders/clear.wgsl")];
+    const APPEND: &[&str] = &[COMMON, LISTS, include_str!("../shaders/append.wgsl")];
+    const SORT: &[&str] = &[COMMON, LISTS, include_str!("../shaders/sort.wgsl")];
+    const UPDATE: &[&str] = &[COMMON, LISTS, ITEM, include_str!("../shaders/update.wgsl")];
+    const BOUNDS: &[&str] = &[COMMON, include_str!("../shaders/bounds.wgsl")];
+    const FRONTS: &[&str] = &[COMMON, include_str!("../shaders/fronts.wgsl")];
+    const EVALUATE: &[&str] = &[COMMON, ITEM, JUDGE, include_str!("../shaders/evaluate.wgsl")];
+    const UNROLLED: &[&str] = &[COMMON, ITEM, JUDGE, include_str!("../shaders/unrolled.wgsl")];
+    const fn recipe(
+        kernel: Kernel,
+        entry: &'static str,
+        access: Access,
+        text: &'static [&'static str],
+    ) -> Recipe {
+        Recipe { kernel, entry, access, text, unrolled: None }
+    }
+    const fn unrolled(kernel: Kernel, added: u32, removed: u32) -> Recipe {
+        let unrolled = Some((added, removed));
+        Recipe { kernel, entry: "evaluate", access: Access::Read, text: UNROLLED, unrolled }
+    }
     [
-        (
-            Kernel::Clear,
-            "clear",
-            Access::Write,
-            &[COMMON, LISTS, include_str!("../shaders/clear.wgsl")],
-        ),
-        (
-            Kernel::Append,
-            "append",
-            Access::Build,
-            &[COMMON, LISTS, include_str!("../shaders/append.wgsl")],
-        ),
-        (
-            Kernel::Sort,
-            "sort",
-            Access::Build,
-            &[COMMON, LISTS, include_str!("../shaders/sort.wgsl")],
-        ),
-        (
-            Kernel::Evaluate,
-            "evaluate",
-            Access::Read,
-            &[COMMON, ITEM, include_str!("../shaders/evaluate.wgsl")],
-        ),
-        (
-            Kernel::Update,
-            "update",
-            Access::Write,
-            &[COMMON, LISTS, ITEM, include_str!("../shaders/update.wgsl")],
-        ),
-        (Kernel::Bounds, "bounds", Access::Read, &[COMMON, include_str!("../shaders/bounds.wgsl")]),
+        recipe(Kernel::Clear, "clear", Access::Write, CLEAR),
+        recipe(Kernel::Append, "append", Access::Build, APPEND),
+        recipe(Kernel::Sort, "sort", Access::Build, SORT),
+        recipe(Kernel::Update, "update", Access::Write, UPDATE),
+        recipe(Kernel::Bounds, "bounds", Access::Read, BOUNDS),
+        recipe(Kernel::Fronts, "fronts", Access::Read, FRONTS),
+        recipe(Kernel::Evaluate, "evaluate", Access::Read, EVALUATE),
+        unrolled(Kernel::Evaluate6, 6, 3),
+        unrolled(Kernel::Evaluate8, 8, 3),
+        unrolled(Kernel::Evaluate12, 12, 4),
+        unrolled(Kernel::Evaluate16, 16, 5),
     ]
 };
+
+impl Kernel {
+    /// The cheapest kernel that judges moves of `n_added` triangles that come and `n_removed`
+    /// vectors of ids that go.
+    pub(super) fn judging(is_plain: bool, n_added: u32, n_removed: u32) -> Self {
+        if !is_plain {
+            return Self::Evaluate;
+        }
+        KERNELS
+            .iter()
+            .find(|r| r.unrolled.is_some_and(|(n, m)| n_added <= n && n_removed <= m))
+            .map_or(Self::Evaluate, |r| r.kernel)
+    }
+}
 
 /// Layouts of the bind groups, and the pipelines made so far.
 pub(super) struct Kernels {
@@ -120,10 +151,14 @@ pub(super) struct Kernels {
 impl Kernels {
     pub(super) fn new(gpu: &Gpu) -> Self {
         Self {
-            lists_read: layout(gpu, "lists, read", &[true, true, true]),
-            lists_write: layout(gpu, "lists, write", &[false, false, false, false]),
-            work: layout(gpu, "work", &[true, false]),
-            stacks: layout(gpu, "stacks", &[false, false]),
+            lists_read: layout(gpu, "lists, read", &[READ_FOUR, READ_FOUR, READ_ONE, READ]),
+            lists_write: layout(
+                gpu,
+                "lists, write",
+                &[WRITE_FOUR, WRITE_FOUR, WRITE_ONE, WRITE, WRITE],
+            ),
+            work: layout(gpu, "work", &[READ_INPUT, WRITE]),
+            stacks: layout(gpu, "stacks", &[WRITE, WRITE]),
             pipelines: Default::default(),
         }
     }
@@ -160,7 +195,7 @@ impl Kernels {
     }
 
     fn compile(&self, gpu: &Gpu, kernel: Kernel) -> Result<wgpu::ComputePipeline, RenderError> {
-        let (_, entry, access, _) = KERNELS[kernel as usize];
+        let Recipe { entry, access, .. } = KERNELS[kernel as usize];
         let groups: &[_] = match access {
             Access::Read => &[Some(&self.lists_read), Some(&self.work)],
             Access::Write => &[Some(&self.lists_write), Some(&self.work)],
@@ -193,21 +228,73 @@ impl Kernels {
 
 /// The whole WGSL text of a kernel.
 fn source(kernel: Kernel) -> String {
-    KERNELS[kernel as usize].3.concat()
+    let recipe = &KERNELS[kernel as usize];
+    let text = recipe.text.concat();
+    let Some((n_added, n_removed)) = recipe.unrolled else { return text };
+    let repeat = |line: &str, name: &str, n: u32| -> String {
+        (0..n).map(|k| line.replace(name, &k.to_string()) + "\n").collect()
+    };
+    text.lines()
+        .map(|line| match line {
+            comment if comment.trim_start().starts_with("//") => String::new(),
+            line if line.contains("{k}") => repeat(line, "{k}", n_added),
+            line if line.contains("{m}") => repeat(line, "{m}", n_removed),
+            line => line.to_owned() + "\n",
+        })
+        .collect()
 }
 
-/// A bind group layout of storage buffers; `true` for those that are only read.
-fn layout(gpu: &Gpu, label: &str, read_only: &[bool]) -> wgpu::BindGroupLayout {
+const fn buffer(read_only: bool) -> wgpu::BindingType {
+    wgpu::BindingType::Buffer {
+        ty: wgpu::BufferBindingType::Storage { read_only },
+        has_dynamic_offset: false,
+        min_binding_size: None,
+    }
+}
+
+const fn texture(
+    format: wgpu::TextureFormat,
+    access: wgpu::StorageTextureAccess,
+    view_dimension: wgpu::TextureViewDimension,
+) -> wgpu::BindingType {
+    wgpu::BindingType::StorageTexture { access, format, view_dimension }
+}
+
+const READ: wgpu::BindingType = buffer(true);
+const WRITE: wgpu::BindingType = buffer(false);
+const READ_INPUT: wgpu::BindingType = texture(
+    wgpu::TextureFormat::Rgba32Uint,
+    wgpu::StorageTextureAccess::ReadOnly,
+    wgpu::TextureViewDimension::D2,
+);
+const READ_FOUR: wgpu::BindingType = texture(
+    wgpu::TextureFormat::Rgba32Uint,
+    wgpu::StorageTextureAccess::ReadOnly,
+    wgpu::TextureViewDimension::D2Array,
+);
+const WRITE_FOUR: wgpu::BindingType = texture(
+    wgpu::TextureFormat::Rgba32Uint,
+    wgpu::StorageTextureAccess::ReadWrite,
+    wgpu::TextureViewDimension::D2Array,
+);
+const READ_ONE: wgpu::BindingType = texture(
+    wgpu::TextureFormat::R32Uint,
+    wgpu::StorageTextureAccess::ReadOnly,
+    wgpu::TextureViewDimension::D2Array,
+);
+const WRITE_ONE: wgpu::BindingType = texture(
+    wgpu::TextureFormat::R32Uint,
+    wgpu::StorageTextureAccess::ReadWrite,
+    wgpu::TextureViewDimension::D2Array,
+);
+
+fn layout(gpu: &Gpu, label: &str, types: &[wgpu::BindingType]) -> wgpu::BindGroupLayout {
     let entries: Vec<_> = (0_u32..)
-        .zip(read_only)
-        .map(|(binding, read_only)| wgpu::BindGroupLayoutEntry {
+        .zip(types)
+        .map(|(binding, ty)| wgpu::BindGroupLayoutEntry {
             binding,
             visibility: wgpu::ShaderStages::COMPUTE,
-            ty: wgpu::BindingType::Buffer {
-                ty: wgpu::BufferBindingType::Storage { read_only: *read_only },
-                has_dynamic_offset: false,
-                min_binding_size: None,
-            },
+            ty: *ty,
             count: None,
         })
         .collect();
@@ -217,18 +304,15 @@ fn layout(gpu: &Gpu, label: &str, read_only: &[bool]) -> wgpu::BindGroupLayout {
     })
 }
 
-/// A bind group of whole buffers.
+/// A bind group of these resources.
 pub(super) fn bind(
     gpu: &Gpu,
     layout: &wgpu::BindGroupLayout,
-    buffers: &[&wgpu::Buffer],
+    resources: &[wgpu::BindingResource<'_>],
 ) -> wgpu::BindGroup {
     let entries: Vec<_> = (0_u32..)
-        .zip(buffers)
-        .map(|(binding, buffer)| wgpu::BindGroupEntry {
-            binding,
-            resource: buffer.as_entire_binding(),
-        })
+        .zip(resources)
+        .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource: resource.clone() })
         .collect();
     gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
         label: None,
@@ -250,7 +334,7 @@ mod tests {
 
     use wgpu::naga;
 
-    use super::super::lists::{BAND_CELLS, Counters, N_LAYERS};
+    use super::super::{lists::Counters, pack::BAND_CELLS, work::INPUT_WIDTH_BITS};
     use super::*;
 
     fn parse(kernel: Kernel) -> naga::Module {
@@ -283,7 +367,7 @@ mod tests {
 
     #[test]
     fn every_kernel_is_valid_wgsl_and_has_its_entry_point() {
-        for (k, (kernel, entry, ..)) in KERNELS.iter().enumerate() {
+        for (k, Recipe { kernel, entry, .. }) in KERNELS.iter().enumerate() {
             assert_eq!(*kernel as usize, k, "the table is in the order of the enumeration");
             let module = parse(*kernel);
             let point = module.entry_points.iter().find(|e| e.name == *entry).unwrap();
@@ -300,14 +384,14 @@ mod tests {
                  size_of::<$t>() as u32)
             };
         }
-        let params = mirror!(Params: first_item, n_items, output_at, row_stride, n_pixels,
-            n_addresses, size, first_center, sub_bits, background, first_pixel, n_nodes);
+        let params = mirror!(Params: first_item, n_items, output_at, size, first_center,
+            sub_bits, background, view, n_nodes, n_pool);
         assert_eq!(members(&module, "Params"), params);
         let counters = mirror!(Counters: pool_used, nodes_used, pool_short, too_deep);
         assert_eq!(members(&module, "Counters"), counters);
-        assert_eq!(constant(&module, "N_LAYERS"), N_LAYERS);
+        assert_eq!(constant(&module, "INPUT_WIDTH_BITS"), INPUT_WIDTH_BITS);
         assert_eq!(constant(&module, "WORKGROUP"), WORKGROUP);
-        assert_eq!(constant(&parse(Kernel::Evaluate), "BAND_QUADS"), BAND_CELLS);
+        assert_eq!(constant(&parse(Kernel::Evaluate), "BAND_CELLS"), BAND_CELLS);
     }
 
     #[test]

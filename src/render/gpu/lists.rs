@@ -1,7 +1,8 @@
-//! The fragment lists of a group of views on the device: where they lie, and how they are built.
+//! The fragment lists on the device: where they lie, and how they are built.
 //!
 //! Invariants:
-//! 1. no binding exceeds the adapter's limit: views are split into groups, each with its buffers;
+//! 1. the first four fragments of each pixel lie in two textures of one layer a view (`near` holds
+//!    the first two, and the reference luminance), the rest in a pool of chained nodes;
 //! 2. no fragment is lost: kernels count what they had no room for, and the lists are then built
 //!    anew from the scene with more room, or an error says that the adapter has none.
 
@@ -13,81 +14,23 @@ use super::super::{
     scene::Scene,
 };
 use super::{
+    encoder,
     kernels::{Kernel, Kernels, Params, bind},
-    pack::{TRIANGLE_WORDS, Word, triangle},
+    pack::{Word, triangle},
     work::Work,
 };
 
-/// Fragments of a pixel that lie in layers (`N_LAYERS` in common.wgsl); the rest are chained.
-pub(super) const N_LAYERS: u32 = 4;
-/// Pixels / 4 of a work item, at most (`BAND_QUADS` in evaluate.wgsl).
-pub(super) const BAND_CELLS: u32 = 64;
-/// Bytes of `Counters` in lists.wgsl.
-const COUNTERS_SIZE: u64 = 16;
-/// Bytes of a stack node.
+/// Bytes of a pool node or a stack node.
 const NODE_SIZE: u64 = 16;
 /// Pixels that one invocation visits of one triangle while building, about.
 const BAND_PIXELS: u32 = 4096;
 /// Triangles of one submission while building.
 const BUILD_CHUNK: usize = 1 << 15;
 
-/// Where pixels lie in the buffers.
-#[derive(Clone, Debug)]
-pub(super) struct Geometry {
-    pub(super) n_views: usize,
-    pub(super) size: u32,
-    /// Pixels from one row to the next: the size, rounded up to whole vectors.
-    pub(super) row_stride: u32,
-    pub(super) views_per_group: usize,
-    /// Pixels / 4 of a work item, at most.
-    pub(super) band_cells: u32,
-}
-
-impl Geometry {
-    pub(super) fn new(gpu: &Gpu, scene: &Scene) -> Result<Self, RenderError> {
-        let size = scene.lattice.size as u32;
-        let row_stride = size.next_multiple_of(4);
-        let view_bytes = u64::from(size * row_stride * N_LAYERS) * 4;
-        // Half as much again for the pool.
-        let views_per_group = (gpu.max_binding * 2 / (view_bytes * 3)) as usize;
-        if views_per_group == 0 {
-            let message = format!("pictures of {size}² pixels do not fit its buffers");
-            return Err(RenderError::Device(message));
-        }
-        let n_views = scene.n_views();
-        let views_per_group = views_per_group.min(n_views.max(1));
-        Ok(Self { n_views, size, row_stride, views_per_group, band_cells: BAND_CELLS })
-    }
-
-    /// Pixels of a view, padding included.
-    pub(super) fn view_pixels(&self) -> u32 {
-        self.row_stride * self.size
-    }
-
-    /// The group that a view belongs to.
-    pub(super) fn group_of(&self, view: usize) -> u32 {
-        (view / self.views_per_group) as u32
-    }
-
-    /// Address of a pixel's front within its group.
-    pub(super) fn address(&self, view: usize, x: u32, y: u32) -> u32 {
-        (view % self.views_per_group) as u32 * self.view_pixels() + y * self.row_stride + x
-    }
-
-    /// The views of each group.
-    pub(super) fn groups(&self) -> impl Iterator<Item = Range<usize>> + '_ {
-        (0..self.n_views)
-            .step_by(self.views_per_group)
-            .map(|first| first..(first + self.views_per_group).min(self.n_views))
-    }
-}
-
-/// The lists of a few views.
-pub(super) struct Group {
-    pub(super) views: Range<usize>,
+/// The lists of all views.
+pub(super) struct Lists {
     /// What every dispatch on these lists is told.
     pub(super) params: Params,
-    pub(super) depth_lum: wgpu::Buffer,
     pub(super) counters: wgpu::Buffer,
     pub(super) bound_read: wgpu::BindGroup,
     pub(super) bound_write: wgpu::BindGroup,
@@ -97,13 +40,27 @@ pub(super) struct Group {
 #[derive(Clone, Copy, Debug, Default, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub(super) struct Counters {
+    /// Nodes of the pool that were asked for.
     pub(super) pool_used: u32,
+    /// Building: nodes of the stacks that were asked for.
     pub(super) nodes_used: u32,
+    /// Not 0 when the pool had too few.
     pub(super) pool_short: u32,
+    /// Not 0 when a list is longer than kernels can follow.
     pub(super) too_deep: u32,
 }
 
 impl Counters {
+    /// From the numbers that came back.
+    pub(super) fn of(words: &[u32]) -> Self {
+        match *words {
+            [pool_used, nodes_used, pool_short, too_deep, ..] => {
+                Self { pool_used, nodes_used, pool_short, too_deep }
+            }
+            _ => Self::default(),
+        }
+    }
+
     /// Fails when a pixel has more fragments than the kernels can follow.
     pub(super) fn check_depth(&self) -> Result<(), RenderError> {
         if self.too_deep == 0 {
@@ -113,191 +70,181 @@ impl Counters {
     }
 }
 
-/// Builds the lists of some views from the scene, with room for `n_pool` fragments beyond the
-/// layers, or more if it takes more.
-pub(super) fn build(
-    gpu: &Gpu,
-    kernels: &mut Kernels,
-    work: &mut Work,
-    (geometry, views, n_pool): (&Geometry, Range<usize>, u32),
-    (scene, reference): (&Scene, &Reference),
-) -> Result<Group, RenderError> {
-    kernels.prepare(gpu, &[Kernel::Clear, Kernel::Append, Kernel::Sort])?;
-    let mut n_pool = n_pool;
-    let mut stacks = Stacks::new(gpu, kernels, geometry, geometry.view_pixels())?;
-    loop {
-        let group = Group::new(gpu, kernels, geometry, scene, views.clone(), n_pool)?;
-        let mut used = Counters::default();
-        let mut view = views.start;
-        while view < views.end {
-            group.clear_view(gpu, kernels, work, (geometry, view), reference)?;
-            used = group.build_view(gpu, kernels, work, (geometry, view), (scene, &stacks))?;
-            used.check_depth()?;
-            if used.nodes_used > stacks.n_nodes {
-                stacks = Stacks::new(gpu, kernels, geometry, used.nodes_used)?;
-                continue;
-            }
-            view += 1;
-        }
-        if used.pool_short == 0 {
-            return Ok(group);
-        }
-        n_pool = used.pool_used.saturating_add(used.pool_used / 2);
-    }
+/// What the lists are built with and from.
+pub(super) struct Builder<'a> {
+    pub(super) gpu: &'a Gpu,
+    pub(super) kernels: &'a mut Kernels,
+    pub(super) work: &'a mut Work,
+    pub(super) scene: &'a Scene,
+    pub(super) reference: &'a Reference,
 }
 
-impl Group {
-    fn new(
-        gpu: &Gpu,
-        kernels: &Kernels,
-        geometry: &Geometry,
-        scene: &Scene,
-        views: Range<usize>,
-        n_pool: u32,
-    ) -> Result<Self, RenderError> {
-        let n_pixels = geometry.view_pixels() * views.len() as u32;
-        let n_addresses = u64::from(n_pixels) * u64::from(N_LAYERS) + u64::from(n_pool);
-        if n_addresses * 4 > gpu.max_binding {
-            let message = "the model is too deep for its buffers; use another device".into();
-            return Err(RenderError::Device(message));
+impl Builder<'_> {
+    /// Builds the lists with room for `n_pool` fragments beyond the first four of each pixel, or
+    /// more if it takes more.
+    pub(super) fn build(mut self, n_pool: u32) -> Result<Lists, RenderError> {
+        self.kernels.prepare(self.gpu, &[Kernel::Clear, Kernel::Append, Kernel::Sort])?;
+        let mut n_pool = n_pool;
+        let mut stacks = Stacks::new(self.gpu, self.kernels, self.scene, self.n_pixels())?;
+        loop {
+            let lists = Lists::new(self.gpu, self.kernels, self.scene, n_pool)?;
+            let mut used = Counters::default();
+            let mut view = 0;
+            while view < self.scene.n_views() {
+                self.clear_view(&lists, view)?;
+                used = self.build_view(&lists, &stacks, view)?;
+                used.check_depth()?;
+                if used.nodes_used > stacks.n_nodes {
+                    let n_nodes = used.nodes_used;
+                    stacks = Stacks::new(self.gpu, self.kernels, self.scene, n_nodes)?;
+                } else {
+                    view += 1;
+                }
+            }
+            if used.pool_short == 0 {
+                return Ok(lists);
+            }
+            n_pool = used.pool_used.saturating_add(used.pool_used / 2);
         }
-        let storage = wgpu::BufferUsages::STORAGE
-            | wgpu::BufferUsages::COPY_SRC
-            | wgpu::BufferUsages::COPY_DST;
-        let faces = gpu.buffer("faces", n_addresses * 4, storage);
-        let depth_lum = gpu.buffer("depth and luminance", n_addresses * 4, storage);
-        let links = gpu.buffer("links", u64::from(n_pixels + n_pool) * 4, storage);
-        let counters = gpu.buffer("counters", COUNTERS_SIZE, storage);
-        let read = [&faces, &depth_lum, &links];
-        let bound_read = bind(gpu, &kernels.lists_read, &read);
-        let write = [&faces, &depth_lum, &links, &counters];
-        let bound_write = bind(gpu, &kernels.lists_write, &write);
-        let params = Params {
-            row_stride: geometry.row_stride,
-            n_pixels,
-            n_addresses: n_addresses as u32,
-            size: geometry.size as i32,
-            first_center: scene.lattice.first_center,
-            sub_bits: scene.lattice.sub_bits,
-            background: 0xffff << 16 | u32::from(scene.params.background) << 8,
-            ..Params::default()
-        };
-        Ok(Self { views, params, depth_lum, counters, bound_read, bound_write })
     }
 
-    /// Fragments of the pool.
-    pub(super) fn n_pool(&self) -> u32 {
-        self.params.n_addresses - N_LAYERS * self.params.n_pixels
-    }
-
-    /// Where a view's front fragments lie in `depth_lum`: (buffer, first byte, bytes).
-    pub(super) fn fronts(&self, geometry: &Geometry, view: usize) -> (&wgpu::Buffer, u64, u64) {
-        let at = u64::from(geometry.address(view, 0, 0)) * 4;
-        (&self.depth_lum, at, u64::from(geometry.view_pixels()) * 4)
+    /// Pixels of a view.
+    fn n_pixels(&self) -> u32 {
+        self.scene.lattice.size.unsigned_abs().pow(2)
     }
 
     /// Empties a view's lists and enters its reference picture.
-    fn clear_view(
-        &self,
-        gpu: &Gpu,
-        kernels: &Kernels,
-        work: &mut Work,
-        (geometry, view): (&Geometry, usize),
-        reference: &Reference,
-    ) -> Result<(), RenderError> {
-        let words = padded_picture(geometry, &reference.pictures[view]);
-        work.write(gpu, kernels, &[&words], 0)?;
-        let mut encoder =
-            gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+    fn clear_view(&mut self, lists: &Lists, view: usize) -> Result<(), RenderError> {
+        let mut words = picture_words(&self.reference.pictures[view]);
+        self.work.write(self.gpu, self.kernels, &mut words, 0)?;
+        let mut encoder = encoder(self.gpu);
         {
             let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-            let params = Params {
-                n_items: geometry.view_pixels(),
-                first_pixel: geometry.address(view, 0, 0),
-                ..self.params
-            };
-            kernels.dispatch(&mut pass, Kernel::Clear, &[&self.bound_write, work.bound()], &params);
+            let n_items = self.n_pixels();
+            let params = Params { n_items, view: view as u32, ..lists.params };
+            let bound = [&lists.bound_write, self.work.bound()];
+            self.kernels.dispatch(&mut pass, Kernel::Clear, &bound, &params);
         }
-        gpu.queue.submit([encoder.finish()]);
+        self.gpu.queue.submit([encoder.finish()]);
         Ok(())
     }
 
     /// Rasters every triangle into a view's (empty) lists.
     fn build_view(
-        &self,
-        gpu: &Gpu,
-        kernels: &Kernels,
-        work: &mut Work,
-        (geometry, view): (&Geometry, usize),
-        (scene, stacks): (&Scene, &Stacks),
+        &mut self,
+        lists: &Lists,
+        stacks: &Stacks,
+        view: usize,
     ) -> Result<Counters, RenderError> {
-        let begin =
-            || gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        let base = Params {
-            first_pixel: geometry.address(view, 0, 0),
-            n_nodes: stacks.n_nodes,
-            ..self.params
-        };
-        let mut encoder = begin();
-        encoder.clear_buffer(&stacks.heads, 0, None);
-        encoder.clear_buffer(&self.counters, 4, Some(4));
-        for first in (0..scene.faces.len()).step_by(BUILD_CHUNK) {
-            let last = (first + BUILD_CHUNK).min(scene.faces.len());
-            let (bands, triangles) = pack_faces(scene, view, first..last);
-            let shift = bands.len() as u32;
-            let bands: Vec<Word> = bands.iter().map(|b| [b[0] + shift, b[1], b[2], 0]).collect();
-            work.write(gpu, kernels, &[&bands, &triangles], 0)?;
-            {
-                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-                let params = Params { n_items: shift, ..base };
-                let groups = [&self.bound_write, work.bound(), &stacks.bound];
-                kernels.dispatch(&mut pass, Kernel::Append, &groups, &params);
-            }
+        let base = Params { view: view as u32, n_nodes: stacks.n_nodes, ..lists.params };
+        let mut commands = encoder(self.gpu);
+        commands.clear_buffer(&stacks.tops, 0, None);
+        commands.clear_buffer(&lists.counters, 4, Some(4));
+        for first in (0..self.scene.faces.len()).step_by(BUILD_CHUNK) {
+            let last = (first + BUILD_CHUNK).min(self.scene.faces.len());
+            let (mut words, n_items) = pack_faces(self.scene, view, first..last);
+            self.work.write(self.gpu, self.kernels, &mut words, 0)?;
+            self.dispatch(
+                &mut commands,
+                Kernel::Append,
+                &Params { n_items, ..base },
+                lists,
+                stacks,
+            );
             // The input is written anew for the next chunk, so this one must be under way first.
-            gpu.queue.submit([std::mem::replace(&mut encoder, begin()).finish()]);
+            self.gpu.queue.submit([std::mem::replace(&mut commands, encoder(self.gpu)).finish()]);
         }
-        {
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-            let params = Params { n_items: geometry.view_pixels(), ..base };
-            let groups = [&self.bound_write, work.bound(), &stacks.bound];
-            kernels.dispatch(&mut pass, Kernel::Sort, &groups, &params);
-        }
-        let counters = [(&self.counters, 0, COUNTERS_SIZE)];
-        work.finish(gpu, encoder, 0, &counters, |words| {
-            *bytemuck::from_bytes(bytemuck::cast_slice(words))
-        })
+        let n_items = self.n_pixels();
+        self.dispatch(&mut commands, Kernel::Sort, &Params { n_items, ..base }, lists, stacks);
+        self.work.finish(self.gpu, commands, 0, Some(&lists.counters), Counters::of)
     }
+
+    fn dispatch(
+        &self,
+        commands: &mut wgpu::CommandEncoder,
+        kernel: Kernel,
+        params: &Params,
+        lists: &Lists,
+        stacks: &Stacks,
+    ) {
+        let mut pass = commands.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+        let bound = [&lists.bound_write, self.work.bound(), &stacks.bound];
+        self.kernels.dispatch(&mut pass, kernel, &bound, params);
+    }
+}
+
+impl Lists {
+    fn new(gpu: &Gpu, kernels: &Kernels, scene: &Scene, n_pool: u32) -> Result<Self, RenderError> {
+        if u64::from(n_pool) * NODE_SIZE > gpu.max_binding {
+            let message = "the model is too deep for its buffers; use another device".into();
+            return Err(RenderError::Device(message));
+        }
+        let side = scene.lattice.size.unsigned_abs();
+        let extent = (side, side, scene.n_views() as u32);
+        let usage = wgpu::TextureUsages::STORAGE_BINDING;
+        let texture = |label, format| gpu.texture(label, extent, format, usage);
+        let near = array_view(&texture("near", wgpu::TextureFormat::Rgba32Uint));
+        let deep = array_view(&texture("deep", wgpu::TextureFormat::Rgba32Uint));
+        let heads = array_view(&texture("heads", wgpu::TextureFormat::R32Uint));
+        let storage = wgpu::BufferUsages::STORAGE;
+        let pool = gpu.buffer("pool", u64::from(n_pool) * NODE_SIZE, storage);
+        let counters = gpu.buffer(
+            "counters",
+            size_of::<Counters>() as u64,
+            storage | wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST,
+        );
+        gpu.check()?;
+        let textures = [&near, &deep, &heads].map(wgpu::BindingResource::TextureView);
+        let buffers = [&pool, &counters].map(wgpu::Buffer::as_entire_binding);
+        let resources = [&textures[..], &buffers[..]].concat();
+        let bound_read = bind(gpu, &kernels.lists_read, &resources[..4]);
+        let bound_write = bind(gpu, &kernels.lists_write, &resources);
+        let params = Params {
+            size: scene.lattice.size,
+            first_center: scene.lattice.first_center,
+            sub_bits: scene.lattice.sub_bits,
+            background: 0xffff << 16 | u32::from(scene.params.background) << 8,
+            n_pool,
+            ..Params::default()
+        };
+        Ok(Self { params, counters, bound_read, bound_write })
+    }
+}
+
+fn array_view(texture: &wgpu::Texture) -> wgpu::TextureView {
+    texture.create_view(&wgpu::TextureViewDescriptor {
+        dimension: Some(wgpu::TextureViewDimension::D2Array),
+        ..wgpu::TextureViewDescriptor::default()
+    })
 }
 
 /// The unsorted per-pixel stacks that one view's lists are built from.
 struct Stacks {
-    heads: wgpu::Buffer,
+    tops: wgpu::Buffer,
     n_nodes: u32,
     bound: wgpu::BindGroup,
 }
 
 impl Stacks {
-    fn new(
-        gpu: &Gpu,
-        kernels: &Kernels,
-        geometry: &Geometry,
-        n_nodes: u32,
-    ) -> Result<Self, RenderError> {
+    fn new(gpu: &Gpu, kernels: &Kernels, scene: &Scene, n_nodes: u32) -> Result<Self, RenderError> {
         if u64::from(n_nodes) * NODE_SIZE > gpu.max_binding {
             let message = format!("{n_nodes} fragments in one view do not fit its buffers");
             return Err(RenderError::Device(message));
         }
         let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST;
-        let heads = gpu.buffer("stack heads", u64::from(geometry.view_pixels()) * 4, usage);
+        let n_pixels = u64::from(scene.lattice.size.unsigned_abs()).pow(2);
+        let tops = gpu.buffer("stack tops", 4 * n_pixels, usage);
         let nodes = gpu.buffer("stack nodes", u64::from(n_nodes) * NODE_SIZE, usage);
-        let bound = bind(gpu, &kernels.stacks, &[&heads, &nodes]);
-        Ok(Self { heads, n_nodes, bound })
+        let resources = [tops.as_entire_binding(), nodes.as_entire_binding()];
+        let bound = bind(gpu, &kernels.stacks, &resources);
+        Ok(Self { tops, n_nodes, bound })
     }
 }
 
-/// Bands of rows (triangle's place, first row, last row) and packed triangles of some faces.
-fn pack_faces(scene: &Scene, view: usize, faces: Range<usize>) -> (Vec<Word>, Vec<Word>) {
-    let (mut bands, mut triangles) = (Vec::new(), Vec::new());
+/// Bands of rows (triangle's place, first row, last row, 0), how many, and the packed triangles of
+/// some faces behind them.
+fn pack_faces(scene: &Scene, view: usize, faces: Range<usize>) -> (Vec<Word>, u32) {
+    let (mut bands, mut triangles): (Vec<Word>, Vec<Word>) = (Vec::new(), Vec::new());
     let cull = scene.culls_front(view);
     for id in faces {
         let Some(face) = &scene.faces[id] else { continue };
@@ -309,8 +256,7 @@ fn pack_faces(scene: &Scene, view: usize, faces: Range<usize>) -> (Vec<Word>, Ve
         let lum = scene.face_luminance(view, face);
         let Some(setup) = scene.lattice.setup(points, lum, cull) else { continue };
         let at = triangles.len() as u32;
-        triangles
-            .extend_from_slice(&triangle(points, &setup, id as u32) as &[Word; TRIANGLE_WORDS]);
+        triangles.extend(triangle(points, &setup, id as u32).0);
         let width = (setup.rect.x1 - setup.rect.x0 + 1) as u32;
         let rows = (BAND_PIXELS / width).max(1);
         let (first, last) = (setup.rect.y0 as u32, setup.rect.y1 as u32);
@@ -318,19 +264,16 @@ fn pack_faces(scene: &Scene, view: usize, faces: Range<usize>) -> (Vec<Word>, Ve
             (first..=last).step_by(rows as usize).map(|y| [at, y, (y + rows - 1).min(last), 0]),
         );
     }
-    (bands, triangles)
+    let n_bands = bands.len() as u32;
+    bands.iter_mut().for_each(|band| band[0] += n_bands);
+    bands.append(&mut triangles);
+    (bands, n_bands)
 }
 
-/// A picture with its rows padded to whole vectors, four luminances a word.
-fn padded_picture(geometry: &Geometry, picture: &[u8]) -> Vec<Word> {
-    let mut bytes =
-        vec![0_u8; (geometry.view_pixels() as usize).next_multiple_of(size_of::<Word>())];
-    let (size, stride) = (geometry.size as usize, geometry.row_stride as usize);
-    for (row, from) in bytes.chunks_mut(stride).zip(picture.chunks(size)) {
-        row[..from.len()].copy_from_slice(from);
-    }
-    bytes
-        .chunks_exact(size_of::<Word>())
-        .map(|w| std::array::from_fn(|k| u32::from_le_bytes(std::array::from_fn(|b| w[4 * k + b]))))
-        .collect()
+/// A picture, sixteen luminances a word.
+fn picture_words(picture: &[u8]) -> Vec<Word> {
+    let number = |b: &[u8], k: usize| -> u32 {
+        (0..4).map(|n| u32::from(b.get(4 * k + n).copied().unwrap_or(0)) << (8 * n)).sum()
+    };
+    picture.chunks(size_of::<Word>()).map(|b| std::array::from_fn(|k| number(b, k))).collect()
 }

@@ -21,7 +21,7 @@ use rayon::prelude::*;
 
 use self::{
     kernels::{Kernel, Kernels, Params},
-    lists::{Counters, Geometry, Group},
+    lists::{Builder, Counters, Lists},
     pack::{ITEM_WORDS, Item, Packed, Packer, Purpose, Word},
     work::Work,
 };
@@ -42,11 +42,12 @@ pub struct Device {
     gpu: Gpu,
     kernels: Kernels,
     work: Work,
-    geometry: Geometry,
-    groups: Vec<Group>,
+    lists: Lists,
     bounds: Vec<TileBounds>,
     reference: Reference,
     energy: u64,
+    /// Pixels along a side of a picture.
+    size: usize,
 }
 
 impl Device {
@@ -54,18 +55,21 @@ impl Device {
     pub(super) fn new(gpu: Gpu, scene: &Scene, reference: Reference) -> Result<Self, RenderError> {
         let mut kernels = Kernels::new(&gpu);
         let mut work = Work::new(&gpu, &kernels);
-        let geometry = Geometry::new(&gpu, scene)?;
-        let mut groups = Vec::new();
-        for views in geometry.groups() {
-            let n_pool = geometry.view_pixels() / 8 * views.len() as u32;
-            let what = (&geometry, views, n_pool);
-            groups.push(lists::build(&gpu, &mut kernels, &mut work, what, (scene, &reference))?);
-        }
-        kernels.prepare(&gpu, &[Kernel::Evaluate, Kernel::Update, Kernel::Bounds])?;
-        let bounds = vec![TileBounds::new(geometry.size as i32); geometry.n_views];
-        let mut device =
-            Self { gpu, kernels, work, geometry, groups, bounds, reference, energy: 0 };
-        for view in 0..device.geometry.n_views {
+        let n_pool = (scene.n_pixels() / 32) as u32;
+        let builder = Builder {
+            gpu: &gpu,
+            kernels: &mut kernels,
+            work: &mut work,
+            scene,
+            reference: &reference,
+        };
+        let lists = builder.build(n_pool)?;
+        kernels.prepare(&gpu, &[Kernel::Update, Kernel::Bounds, Kernel::Fronts])?;
+        let size = scene.lattice.size;
+        let bounds = vec![TileBounds::new(size); scene.n_views()];
+        let (energy, size) = (0, size as usize);
+        let mut device = Self { gpu, kernels, work, lists, bounds, reference, energy, size };
+        for view in 0..scene.n_views() {
             let fronts = device.fronts(view)?;
             device.energy += squared_difference(&device.reference.pictures[view], &fronts);
             device.refresh_bounds(view, &fronts);
@@ -75,17 +79,21 @@ impl Device {
 
     /// A view's front fragments, row by row: z << 16 | luminance << 8 | reference.
     fn fronts(&mut self, view: usize) -> Result<Vec<u32>, RenderError> {
-        let group = &self.groups[self.geometry.group_of(view) as usize];
-        let fronts = [group.fronts(&self.geometry, view)];
-        let encoder = encoder(&self.gpu);
-        let (size, stride) = (self.geometry.size as usize, self.geometry.row_stride as usize);
-        self.work.finish(&self.gpu, encoder, 0, &fronts, |words| {
-            words.chunks(stride).flat_map(|row| &row[..size]).copied().collect()
-        })
+        let n_pixels = self.size * self.size;
+        self.work.reserve(&self.gpu, &self.kernels, 0, 4 * n_pixels as u64)?;
+        let mut encoder = encoder(&self.gpu);
+        {
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            let n_items = n_pixels as u32;
+            let params = Params { n_items, view: view as u32, ..self.lists.params };
+            let bound = [&self.lists.bound_read, self.work.bound()];
+            self.kernels.dispatch(&mut pass, Kernel::Fronts, &bound, &params);
+        }
+        self.work.finish(&self.gpu, encoder, n_pixels, None, <[u32]>::to_vec)
     }
 
     fn refresh_bounds(&mut self, view: usize, fronts: &[u32]) {
-        let size = self.geometry.size as usize;
+        let size = self.size;
         let bounds = &mut self.bounds[view];
         let last = size as i32 - 1;
         let tiles: Vec<_> =
@@ -106,7 +114,7 @@ impl Device {
             let mut out = Packed::default();
             for (owner, mv) in (first as u32..).zip(moves) {
                 let what = (owner, mv);
-                packer.pack(scene, &self.geometry, &self.bounds, what, Purpose::Judge, &mut out);
+                packer.pack(scene, &self.bounds, what, Purpose::Judge, &mut out);
             }
             out
         };
@@ -131,150 +139,117 @@ impl Device {
         if packed.items.is_empty() {
             return Ok(deltas);
         }
-        let (order, runs) = arrange(&packed.items);
-        let data_at = (order.len() * ITEM_WORDS) as u32;
-        let items: Vec<Word> =
-            order.iter().flat_map(|k| packed.items[*k as usize].words(data_at)).collect();
-        self.work.write(&self.gpu, &self.kernels, &[&items, &packed.data], order.len())?;
+        let order = Order::of(&packed.items);
+        self.kernels.prepare(&self.gpu, &order.kernels())?;
+        let mut words = order.words(&packed);
+        self.work.write(&self.gpu, &self.kernels, &mut words, order.items.len())?;
         let mut encoder = encoder(&self.gpu);
-        {
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-            for run in &runs {
-                self.dispatch_evaluate(&mut pass, &packed.items[order[run.start] as usize], run);
-            }
-        }
-        self.work.finish(&self.gpu, encoder, order.len(), &[], |sums| {
-            for (k, sum) in order.iter().zip(sums) {
-                let owner = packed.items[*k as usize].owner;
-                deltas[owner as usize] += i64::from(*sum as i32);
+        self.dispatch_judging(&mut encoder, &order);
+        self.work.finish(&self.gpu, encoder, order.items.len(), None, |sums| {
+            for (k, sum) in order.items.iter().zip(sums) {
+                deltas[packed.items[*k as usize].owner as usize] += i64::from(*sum as i32);
             }
         })?;
         Ok(deltas)
     }
 
-    /// Adds the dispatch of a run of items of the same group.
-    fn dispatch_evaluate(&self, pass: &mut wgpu::ComputePass<'_>, item: &Item, run: &Range<usize>) {
-        let group = &self.groups[item.group as usize];
-        let params = Params {
-            first_item: run.start as u32,
-            n_items: run.len() as u32,
-            output_at: run.start as u32,
-            ..group.params
-        };
-        let bound = [&group.bound_read, self.work.bound()];
-        self.kernels.dispatch(pass, Kernel::Evaluate, &bound, &params);
+    /// Adds the dispatches that judge the items, one for each kernel.
+    fn dispatch_judging(&self, encoder: &mut wgpu::CommandEncoder, order: &Order) {
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+        for (kernel, items) in &order.runs {
+            let params = Params {
+                first_item: items.start as u32,
+                n_items: items.len() as u32,
+                output_at: items.start as u32,
+                ..self.lists.params
+            };
+            let bound = [&self.lists.bound_read, self.work.bound()];
+            self.kernels.dispatch(&mut pass, *kernel, &bound, &params);
+        }
     }
 
-    /// Brings the lists up to date with a move. Returns what the kernels counted, by group, and
-    /// sets the depth bounds.
-    fn update(&mut self, scene: &Scene, mv: &Move) -> Result<Vec<Counters>, RenderError> {
+    /// Judges a move and brings the lists and depth bounds up to date with it, with one
+    /// submission. Returns the change of energy and what the kernels counted.
+    fn make(&mut self, scene: &Scene, mv: &Move) -> Result<(i64, Counters), RenderError> {
         let mut packer = Packer::default();
         let mut packed = Packed::default();
-        let what = (0, mv);
-        packer.pack(scene, &self.geometry, &self.bounds, what, Purpose::Make, &mut packed);
-        let (order, runs) = arrange(&packed.items);
+        packer.pack(scene, &self.bounds, (0, mv), Purpose::Make, &mut packed);
+        let order = Order::of(&packed.items);
+        self.kernels.prepare(&self.gpu, &order.kernels())?;
         let tiles = self.touched_tiles(scene, &packer);
-        let data_at = order.len() * ITEM_WORDS;
-        let items: Vec<Word> =
-            order.iter().flat_map(|k| packed.items[*k as usize].words(data_at as u32)).collect();
-        let tile_words: Vec<Word> = tiles.iter().map(|(_, tile)| Self::tile_word(tile)).collect();
-        let parts: [&[Word]; 3] = [&items, &packed.data, &tile_words];
-        self.work.write(&self.gpu, &self.kernels, &parts, tiles.len())?;
+        let mut words = order.words(&packed);
+        let tiles_at = words.len();
+        words.extend(tiles.iter().map(|(view, t)| {
+            let end = t.x1 as u32 | (t.y1 as u32) << 16;
+            [t.x0 as u32, t.y0 as u32, end, *view as u32]
+        }));
+        let n_items = order.items.len();
+        let n_results = n_items + tiles.len();
+        self.work.write(&self.gpu, &self.kernels, &mut words, n_results)?;
         let mut encoder = encoder(&self.gpu);
-        {
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-            for run in &runs {
-                let group = &self.groups[packed.items[order[run.start] as usize].group as usize];
-                let params = Params {
-                    first_item: run.start as u32,
-                    n_items: run.len() as u32,
-                    ..group.params
-                };
-                let bound = [&group.bound_write, self.work.bound()];
-                self.kernels.dispatch(&mut pass, Kernel::Update, &bound, &params);
-            }
-            self.dispatch_bounds(&mut pass, &tiles, (data_at + packed.data.len()) as u32);
-        }
-        let counters: Vec<_> = self.groups.iter().map(|g| (&g.counters, 0, 16)).collect();
+        self.dispatch_judging(&mut encoder, &order);
+        self.dispatch_update(&mut encoder, n_items, (tiles_at, tiles.len()));
         let bounds = &mut self.bounds;
-        self.work.finish(&self.gpu, encoder, tiles.len(), &counters, |words| {
-            let (far, counters) = words.split_at(tiles.len());
+        self.work.finish(&self.gpu, encoder, n_results, Some(&self.lists.counters), |words| {
+            let (sums, rest) = words.split_at(n_items);
+            let (far, counters) = rest.split_at(tiles.len());
             for ((view, tile), far) in tiles.iter().zip(far) {
-                bounds[*view].set(&tile.rect, *far);
+                bounds[*view].set(tile, *far);
             }
-            bytemuck::cast_slice(counters).to_vec()
+            let judged = sums[..order.n_judged()].iter();
+            (judged.map(|sum| i64::from(*sum as i32)).sum(), Counters::of(counters))
         })
     }
 
-    /// The tiles that the packer's move touches, by view and so by group.
-    fn touched_tiles(&self, scene: &Scene, packer: &Packer) -> Vec<(usize, Tile)> {
+    /// Adds the dispatches that update the lists and find the bounds of (place, number) tiles.
+    fn dispatch_update(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        n_items: usize,
+        (tiles_at, n_tiles): (usize, usize),
+    ) {
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+        let params = Params { n_items: n_items as u32, ..self.lists.params };
+        let bound = [&self.lists.bound_write, self.work.bound()];
+        self.kernels.dispatch(&mut pass, Kernel::Update, &bound, &params);
+        let params = Params {
+            first_item: tiles_at as u32,
+            n_items: n_tiles as u32,
+            output_at: n_items as u32,
+            ..self.lists.params
+        };
+        let bound = [&self.lists.bound_read, self.work.bound()];
+        self.kernels.dispatch(&mut pass, Kernel::Bounds, &bound, &params);
+    }
+
+    /// The tiles that the packer's move touches, with their views.
+    fn touched_tiles(&self, scene: &Scene, packer: &Packer) -> Vec<(usize, PixelRect)> {
         let mut tiles = Vec::new();
         for (view, bounds) in self.bounds.iter().enumerate() {
             let (rect, _) = packer.projected.extent(&scene.lattice, view);
             if !rect.is_empty() {
-                tiles.extend(bounds.touched(&rect).map(|rect| {
-                    let first = self.geometry.address(view, rect.x0 as u32, rect.y0 as u32);
-                    (view, Tile { first, rect })
-                }));
+                tiles.extend(bounds.touched(&rect).map(|tile| (view, tile)));
             }
         }
         tiles
     }
 
-    fn tile_word(tile: &Tile) -> Word {
-        let r = &tile.rect;
-        [tile.first, (r.x1 - r.x0 + 1) as u32, (r.y1 - r.y0 + 1) as u32, 0]
-    }
-
-    fn dispatch_bounds(
-        &self,
-        pass: &mut wgpu::ComputePass<'_>,
-        tiles: &[(usize, Tile)],
-        tiles_at: u32,
-    ) {
-        let mut first = 0;
-        for part in
-            tiles.chunk_by(|a, b| self.geometry.group_of(a.0) == self.geometry.group_of(b.0))
-        {
-            let group = &self.groups[self.geometry.group_of(part[0].0) as usize];
-            let params = Params {
-                first_item: tiles_at + first,
-                n_items: part.len() as u32,
-                output_at: first,
-                ..group.params
-            };
-            let bound = [&group.bound_read, self.work.bound()];
-            self.kernels.dispatch(pass, Kernel::Bounds, &bound, &params);
-            first += part.len() as u32;
-        }
-    }
-
-    /// Builds the lists of groups whose pool ran short from the scene, with more room.
-    fn rebuild(&mut self, scene: &Scene, counters: &[Counters]) -> Result<(), RenderError> {
-        for (k, used) in counters.iter().enumerate() {
-            if used.pool_short == 0 {
-                continue;
-            }
-            let old = &self.groups[k];
-            let n_pool = (2 * old.n_pool()).max(used.pool_used);
-            let what = (&self.geometry, old.views.clone(), n_pool);
-            let with = (scene, &self.reference);
-            let group = lists::build(&self.gpu, &mut self.kernels, &mut self.work, what, with)?;
-            let views = group.views.clone();
-            self.groups[k] = group;
-            for view in views {
-                let fronts = self.fronts(view)?;
-                self.refresh_bounds(view, &fronts);
-            }
+    /// Builds the lists anew from the scene, with more room.
+    fn rebuild(&mut self, scene: &Scene, used: &Counters) -> Result<(), RenderError> {
+        let builder = Builder {
+            gpu: &self.gpu,
+            kernels: &mut self.kernels,
+            work: &mut self.work,
+            scene,
+            reference: &self.reference,
+        };
+        self.lists = builder.build(used.pool_used.saturating_mul(2))?;
+        for view in 0..scene.n_views() {
+            let fronts = self.fronts(view)?;
+            self.refresh_bounds(view, &fronts);
         }
         Ok(())
     }
-}
-
-/// A tile of a view: its first pixel's address, its pixels.
-struct Tile {
-    first: u32,
-    rect: PixelRect,
 }
 
 impl Evaluator for Device {
@@ -295,13 +270,12 @@ impl Evaluator for Device {
         if n_slots > scene.faces.len() {
             scene.faces.resize(n_slots, None);
         }
-        let delta = self.judge(scene, std::slice::from_ref(mv))?[0];
-        let counters = self.update(scene, mv)?;
-        for used in &counters {
-            used.check_depth()?;
-        }
+        let (delta, used) = self.make(scene, mv)?;
+        used.check_depth()?;
         scene.apply(mv);
-        self.rebuild(scene, &counters)?;
+        if used.pool_short != 0 {
+            self.rebuild(scene, &used)?;
+        }
         self.energy = self.energy.saturating_add_signed(delta);
         Ok(delta)
     }
@@ -319,22 +293,59 @@ fn encoder(gpu: &Gpu) -> wgpu::CommandEncoder {
     gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
 }
 
-/// The order in which items run, and the runs of items of the same group. Items of like area stand
-/// together, for they share a processor's vector and take as long as the largest.
-fn arrange(items: &[Item]) -> (Vec<u32>, Vec<Range<usize>>) {
-    let mut order: Vec<u32> = (0..items.len() as u32).collect();
-    let rank = |k: u32| {
-        let item = &items[k as usize];
-        (item.group, item.added.1, item.n_cells())
-    };
-    order.sort_unstable_by_key(|k| rank(*k));
-    let mut runs = Vec::new();
-    let mut first = 0;
-    for run in order.chunk_by(|a, b| items[*a as usize].group == items[*b as usize].group) {
-        runs.push(first..first + run.len());
-        first += run.len();
+/// The order in which items run. Items of like area stand together, for they share a processor's
+/// vector and take as long as the largest.
+struct Order {
+    /// Indices of the items: those to judge, then those that are hidden.
+    items: Vec<u32>,
+    /// Ranges of `items` that one dispatch judges.
+    runs: Vec<(Kernel, Range<usize>)>,
+}
+
+impl Order {
+    fn of(items: &[Item]) -> Self {
+        let mut order: Vec<u32> = (0..items.len() as u32).collect();
+        let kernel = |k: u32| {
+            let item = &items[k as usize];
+            let kernel = Kernel::judging(item.is_plain, item.added.1, item.removed.1);
+            (item.is_hidden, kernel)
+        };
+        order.sort_unstable_by_key(|k| {
+            let item = &items[*k as usize];
+            (kernel(*k), item.is_folded, item.area())
+        });
+        let mut runs = Vec::new();
+        let mut first = 0;
+        for part in order.chunk_by(|a, b| kernel(*a) == kernel(*b)) {
+            let (is_hidden, kernel) = kernel(part[0]);
+            if !is_hidden {
+                runs.push((kernel, first..first + part.len()));
+            }
+            first += part.len();
+        }
+        Self { items: order, runs }
     }
-    (order, runs)
+
+    /// The kernels that judge.
+    fn kernels(&self) -> Vec<Kernel> {
+        self.runs.iter().map(|run| run.0).collect()
+    }
+
+    /// Items to judge.
+    fn n_judged(&self) -> usize {
+        self.runs.last().map_or(0, |run| run.1.end)
+    }
+
+    /// The input: the items in this order, then their data.
+    fn words(&self, packed: &Packed) -> Vec<Word> {
+        let data_at = self.items.len() * ITEM_WORDS;
+        let mut words = Vec::with_capacity(data_at + packed.data.len() + 1024);
+        for k in &self.items {
+            words.extend(packed.items[*k as usize].words(data_at as u32));
+        }
+        words.extend_from_slice(&packed.data);
+        words
+    }
 }
 
 fn squared_difference(reference: &[u8], fronts: &[u32]) -> u64 {

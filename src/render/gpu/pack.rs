@@ -1,11 +1,11 @@
-//! Moves as the kernels read them: vectors of four 32-bit words.
+//! Moves as the kernels read them: words of four 32-bit numbers.
 //!
 //! Formats (the WGSL side is in common.wgsl and item.wgsl):
-//! - a triangle is three vectors: corners `x | y << 16` in an order that makes the edge functions
+//! - a triangle is three words: corners `x | y << 16` in an order that makes the edge functions
 //!   positive inside, and its flat luminance; depth plane with 16 fraction bits, and its id;
 //!   luminance plane with 16 fraction bits, and 0;
-//! - the ids of the triangles that go are padded with `NIL` to whole vectors;
-//! - an item is two vectors: see `Item` in item.wgsl.
+//! - the ids of the triangles that go are padded with `NIL` to whole words;
+//! - an item is two words: see `Item` in item.wgsl.
 
 use super::super::{
     lattice::{DEPTH_BITS, PixelRect, ScreenPoint, Setup},
@@ -13,51 +13,55 @@ use super::super::{
     scene::Scene,
     tiles::TileBounds,
 };
-use super::lists::Geometry;
 
-/// Vectors of a packed triangle.
-pub(super) const TRIANGLE_WORDS: usize = 3;
-/// Vectors of a packed item.
+/// Words of a packed triangle.
+const TRIANGLE_WORDS: usize = 3;
+/// Words of a packed item.
 pub(super) const ITEM_WORDS: usize = 2;
-/// No triangle, no address.
-pub(super) const NIL: u32 = u32::MAX;
+/// No triangle.
+const NIL: u32 = u32::MAX;
+/// Cells of 2 × 2 pixels of a work item, at most (`BAND_CELLS` in evaluate.wgsl).
+pub(super) const BAND_CELLS: u32 = 64;
 
-/// Four 32-bit words.
+/// Four 32-bit numbers.
 pub(super) type Word = [u32; 4];
 
-/// A band of rows of one move in one view.
+/// A band of one move's rectangle in one view.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Item {
     /// Index of the move in its batch.
     pub(super) owner: u32,
-    /// Group of views.
-    pub(super) group: u32,
-    /// Address of the first pixel; column a multiple of four.
-    pub(super) first: u32,
+    /// View.
+    pub(super) view: u32,
     /// Column and row of the first pixel.
     pub(super) at: (u32, u32),
-    /// Columns of four pixels.
-    pub(super) n_quads: u32,
-    /// Rows.
-    pub(super) n_rows: u32,
+    /// Columns and rows of cells of 2 × 2 pixels.
+    pub(super) n_cells: (u32, u32),
     /// Triangles that come: place among the data, number.
     pub(super) added: (u32, u32),
-    /// Ids that go: place among the data, vectors.
+    /// Ids that go: place among the data, words.
     pub(super) removed: (u32, u32),
+    /// Whether each triangle that comes has one luminance.
+    pub(super) is_plain: bool,
+    /// Whether some triangles that come face the viewer and some do not: many of its pixels then
+    /// take longer.
+    pub(super) is_folded: bool,
+    /// Whether everything there is nearer than the move.
+    pub(super) is_hidden: bool,
 }
 
 impl Item {
     /// The item as words, its data starting at `data_at`.
     pub(super) fn words(&self, data_at: u32) -> [Word; ITEM_WORDS] {
         [
-            [self.first, self.at.0 | self.at.1 << 16, self.n_quads | self.n_rows << 16, 0],
+            [self.at.0 | self.at.1 << 16, self.n_cells.0 | self.n_cells.1 << 16, self.view, 0],
             [self.added.0 + data_at, self.added.1, self.removed.0 + data_at, self.removed.1],
         ]
     }
 
     /// Pixels / 4.
-    pub(super) fn n_cells(&self) -> u32 {
-        self.n_quads * self.n_rows
+    pub(super) fn area(&self) -> u32 {
+        self.n_cells.0 * self.n_cells.1
     }
 }
 
@@ -85,7 +89,15 @@ impl Packed {
 #[derive(Default)]
 pub(super) struct Packer {
     pub(super) projected: Projected,
-    setups: Vec<(u32, Word, Word, Word)>,
+    added: Vec<Added>,
+}
+
+/// A triangle that comes, in one view.
+struct Added {
+    face: u32,
+    setup: Setup,
+    is_turned: bool,
+    words: [Word; TRIANGLE_WORDS],
 }
 
 /// What of a move to pack.
@@ -102,7 +114,6 @@ impl Packer {
     pub(super) fn pack(
         &mut self,
         scene: &Scene,
-        geometry: &Geometry,
         bounds: &[TileBounds],
         (owner, mv): (u32, &Move),
         purpose: Purpose,
@@ -112,39 +123,65 @@ impl Packer {
         let mut removed = None;
         for (view, bounds) in bounds.iter().enumerate() {
             let (rect, nearest_z) = self.projected.extent(&scene.lattice, view);
-            if rect.is_empty()
-                || (purpose == Purpose::Judge && bounds.hides(&rect, u32::from(nearest_z)))
-            {
+            let hides = |rect: &PixelRect| bounds.hides(rect, u32::from(nearest_z));
+            if rect.is_empty() || (purpose == Purpose::Judge && hides(&rect)) {
                 continue;
             }
             let removed = *removed.get_or_insert_with(|| pack_ids(&mv.removed, &mut out.data));
-            let added = self.pack_added(scene, mv, view, &mut out.data);
-            push_bands(geometry, view, &rect, Bands { owner, added, removed }, &mut out.items);
+            self.set_up(scene, mv, view);
+            for block in blocks(&rect) {
+                let is_hidden = hides(&block);
+                if !is_hidden || purpose == Purpose::Make {
+                    let mut item = self.item(&block, &mut out.data);
+                    item.owner = owner;
+                    item.view = view as u32;
+                    item.removed = removed;
+                    item.is_hidden = is_hidden;
+                    out.items.push(item);
+                }
+            }
         }
     }
 
-    /// Triangles by ascending id, so that the lesser id wins a tie in depth.
-    fn pack_added(
-        &mut self,
-        scene: &Scene,
-        mv: &Move,
-        view: usize,
-        data: &mut Vec<Word>,
-    ) -> (u32, u32) {
+    /// Prepares the triangles that come, by ascending id, so that the lesser id wins a tie in
+    /// depth.
+    fn set_up(&mut self, scene: &Scene, mv: &Move, view: usize) {
         let cull = scene.culls_front(view);
-        self.setups.clear();
+        self.added.clear();
         for (k, added) in mv.added.iter().enumerate() {
             let points = self.projected.added_points(k, view);
             let lum = self.projected.added_luminance(scene, mv, k, view);
             if let Some(setup) = scene.lattice.setup(points, lum, cull) {
-                let [a, b, c] = triangle(points, &setup, added.face);
-                self.setups.push((added.face, a, b, c));
+                let (words, is_turned) = triangle(points, &setup, added.face);
+                self.added.push(Added { face: added.face, setup, is_turned, words });
             }
         }
-        self.setups.sort_unstable_by_key(|s| s.0);
-        let at = data.len() as u32;
-        data.extend(self.setups.iter().flat_map(|(_, a, b, c)| [*a, *b, *c]));
-        (at, self.setups.len() as u32)
+        self.added.sort_unstable_by_key(|a| a.face);
+    }
+
+    /// The work item of a block, with the triangles that may cover some of it.
+    fn item(&self, block: &PixelRect, data: &mut Vec<Word>) -> Item {
+        let at = data.len();
+        let (mut is_plain, mut n_turned, mut n_added) = (true, 0, 0);
+        for added in self.added.iter().filter(|a| a.setup.may_cover(block)) {
+            is_plain &= added.setup.lum.min == added.setup.lum.max;
+            n_turned += u32::from(added.is_turned);
+            n_added += 1;
+            data.extend(added.words);
+        }
+        let columns = (block.x1 - block.x0) as u32 / 2 + 1;
+        let rows = (block.y1 - block.y0) as u32 / 2 + 1;
+        Item {
+            owner: 0,
+            view: 0,
+            at: (block.x0 as u32, block.y0 as u32),
+            n_cells: (columns, rows),
+            added: (at as u32, n_added),
+            removed: (0, 0),
+            is_plain,
+            is_folded: n_turned > 0 && n_turned < n_added,
+            is_hidden: false,
+        }
     }
 }
 
@@ -154,12 +191,12 @@ fn pack_ids(ids: &[u32], data: &mut Vec<Word>) -> (u32, u32) {
     (at, data.len() as u32 - at)
 }
 
-/// A triangle as the kernels read it.
+/// A triangle as the kernels read it, and whether its corners had to be turned round.
 pub(super) fn triangle(
     points: [ScreenPoint; 3],
     setup: &Setup,
     face: u32,
-) -> [Word; TRIANGLE_WORDS] {
+) -> ([Word; TRIANGLE_WORDS], bool) {
     let x = points.map(|p| i32::from(p.x));
     let y = points.map(|p| i32::from(p.y));
     let area2 = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0]);
@@ -167,7 +204,7 @@ pub(super) fn triangle(
     let (b, c) = if area2 < 0 { (2, 1) } else { (1, 2) };
     let scale = 16 - DEPTH_BITS;
     let (depth, lum) = (&setup.depth, &setup.lum);
-    [
+    let words = [
         [corner(0), corner(b), corner(c), lum.at_origin as u32 >> 16],
         [
             (depth.at_origin as u32) << scale,
@@ -176,42 +213,24 @@ pub(super) fn triangle(
             face,
         ],
         [lum.at_origin as u32, lum.dx as u32, lum.dy as u32, 0],
-    ]
+    ];
+    (words, area2 < 0)
 }
 
-/// What all bands of a move in a view share.
-struct Bands {
-    owner: u32,
-    added: (u32, u32),
-    removed: (u32, u32),
-}
-
-/// Cuts the rectangle into bands of at most `geometry.band_cells` × 4 pixels.
-fn push_bands(
-    geometry: &Geometry,
-    view: usize,
-    rect: &PixelRect,
-    shared: Bands,
-    items: &mut Vec<Item>,
-) {
-    let (x, y0, y1) = (rect.x0 as u32 & !3, rect.y0 as u32, rect.y1 as u32);
-    let n_quads = (rect.x1 as u32 - x) / 4 + 1;
-    // Wide rectangles are cut into columns too: one row of a large picture may exceed a band.
-    for part in (0..n_quads).step_by(geometry.band_cells as usize) {
-        let n_quads = (n_quads - part).min(geometry.band_cells);
-        let rows = (geometry.band_cells / n_quads).max(1);
-        for y in (y0..=y1).step_by(rows as usize) {
-            let at = (x + 4 * part, y);
-            items.push(Item {
-                owner: shared.owner,
-                group: geometry.group_of(view),
-                first: geometry.address(view, at.0, at.1),
-                at,
-                n_quads,
-                n_rows: rows.min(y1 + 1 - y),
-                added: shared.added,
-                removed: shared.removed,
-            });
-        }
+/// Cuts a rectangle into blocks of at most [`BAND_CELLS`] cells, as few and as square as can be.
+fn blocks(rect: &PixelRect) -> impl Iterator<Item = PixelRect> + use<> {
+    let rect = *rect;
+    let (mut width, mut height) = ((rect.x1 - rect.x0) / 2 + 1, (rect.y1 - rect.y0) / 2 + 1);
+    while width * height > BAND_CELLS as i32 {
+        let longer = if width > height { &mut width } else { &mut height };
+        *longer = (*longer + 1) / 2;
     }
+    (rect.y0..=rect.y1).step_by(2 * height as usize).flat_map(move |y0| {
+        (rect.x0..=rect.x1).step_by(2 * width as usize).map(move |x0| PixelRect {
+            x0,
+            y0,
+            x1: (x0 + 2 * width - 1).min(rect.x1),
+            y1: (y0 + 2 * height - 1).min(rect.y1),
+        })
+    })
 }

@@ -1,12 +1,20 @@
 //! The device against the contract and against the native twin.
 
+use glam::DVec3;
+use proptest::{
+    prelude::*,
+    test_runner::{RngAlgorithm, TestRng},
+};
+
 use super::{
     super::{
-        contract::{self, LOOKS},
+        contract::{self, LOOKS, Look},
         device,
         evaluator::{Evaluator, Reference},
+        moves::Move,
         raster,
         scene::Scene,
+        twin::Twin,
     },
     Device, Gpu,
 };
@@ -42,4 +50,56 @@ fn the_first_picture_is_the_rasters() {
     for view in 0..scene.n_views() {
         assert!(device.picture(&scene, view).unwrap() == reference.pictures[view], "view {view}");
     }
+}
+
+/// A seeded sequence of moves of the scene as it is now.
+fn random_moves(scene: &Scene, rng: &mut TestRng, n: usize) -> Vec<Move> {
+    let mut moves = Vec::new();
+    for _ in 0..4 * n {
+        let pick = (rng.next_u32() as usize, rng.next_u32() as usize);
+        let offset = [0; 3].map(|_: i32| f64::from(rng.next_u32() % 2001) / 10_000.0 - 0.1);
+        moves.extend(contract::random_move(scene, pick, DVec3::from_array(offset)));
+        if moves.len() == n {
+            break;
+        }
+    }
+    moves
+}
+
+/// Device and twin side by side: batches of several sizes, then a few commits, again and again.
+fn check_against_twin(look: Look, n: usize, sizes: &[usize], n_rounds: usize) {
+    let Some(gpu) = open() else { return };
+    let mut scene = contract::scene(n, look);
+    let reference = raster::reference(&scene);
+    let mut twin = Twin::new(&scene, reference.clone());
+    let mut device = Device::new(gpu, &scene, reference).unwrap();
+    let mut rng = TestRng::deterministic_rng(RngAlgorithm::ChaCha);
+    for round in 0..n_rounds {
+        for size in sizes {
+            let moves = random_moves(&scene, &mut rng, *size);
+            let expected = twin.evaluate(&scene, &moves).unwrap();
+            assert_eq!(device.evaluate(&scene, &moves).unwrap(), expected, "round {round}");
+        }
+        for mv in random_moves(&scene, &mut rng, 1) {
+            let mut twins_scene = scene.clone();
+            let expected = twin.commit(&mut twins_scene, &mv).unwrap();
+            assert_eq!(device.commit(&mut scene, &mv).unwrap(), expected, "round {round}");
+        }
+        assert_eq!(device.energy(), twin.energy());
+        for view in 0..scene.n_views() {
+            let same = device.picture(&scene, view).unwrap() == twin.picture(&scene, view).unwrap();
+            assert!(same, "round {round}, view {view}");
+        }
+    }
+}
+
+#[test]
+fn device_and_twin_agree_under_flat_shading() {
+    check_against_twin(LOOKS[0], 12, &[1, 7, 64, 300], 3);
+    check_against_twin(LOOKS[2], 12, &[7], 20);
+}
+
+#[test]
+fn device_and_twin_agree_under_smooth_shading() {
+    check_against_twin(LOOKS[1], 12, &[1, 7, 64, 300], 3);
 }

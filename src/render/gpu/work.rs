@@ -1,4 +1,4 @@
-//! What travels: one input buffer to the device, one output buffer back, both grown as needed.
+//! What travels: one input texture to the device, one output buffer back, both grown as needed.
 
 use super::{
     super::{device::Gpu, evaluator::RenderError},
@@ -6,23 +6,29 @@ use super::{
     pack::Word,
 };
 
+/// log2 of the input's width in words (`INPUT_WIDTH_BITS` in common.wgsl).
+pub(super) const INPUT_WIDTH_BITS: u32 = 10;
+/// Words in a row of the input.
+const INPUT_WIDTH: usize = 1 << INPUT_WIDTH_BITS;
+/// First size of the input, rows.
+const FIRST_ROWS: u32 = 64;
+/// First size of the output, bytes.
+const FIRST_OUTPUT: u64 = 1 << 18;
+
 /// Input, output, and the mappable copy of the output.
 pub(super) struct Work {
-    input: wgpu::Buffer,
+    input: wgpu::Texture,
     output: wgpu::Buffer,
     readback: wgpu::Buffer,
     bound: wgpu::BindGroup,
 }
 
-/// First size of each buffer, bytes.
-const FIRST_SIZE: u64 = 1 << 20;
-
 impl Work {
     pub(super) fn new(gpu: &Gpu, kernels: &Kernels) -> Self {
-        let input = input_buffer(gpu, FIRST_SIZE);
-        let output = output_buffer(gpu, FIRST_SIZE);
-        let readback = readback_buffer(gpu, FIRST_SIZE);
-        let bound = bind(gpu, &kernels.work, &[&input, &output]);
+        let input = input_texture(gpu, FIRST_ROWS);
+        let output = output_buffer(gpu, FIRST_OUTPUT);
+        let readback = readback_buffer(gpu, FIRST_OUTPUT);
+        let bound = bind_work(gpu, kernels, &input, &output);
         Self { input, output, readback, bound }
     }
 
@@ -31,72 +37,91 @@ impl Work {
         &self.bound
     }
 
-    /// Writes the parts, one after the other, to the input, and makes room for `n_results` words of
-    /// output.
+    /// Writes the words to the input, and makes room for `n_results` numbers of output.
     pub(super) fn write(
         &mut self,
         gpu: &Gpu,
         kernels: &Kernels,
-        parts: &[&[Word]],
+        words: &mut Vec<Word>,
         n_results: usize,
     ) -> Result<(), RenderError> {
-        let sizes: Vec<u64> = parts.iter().map(|p| size_of_val(*p) as u64).collect();
-        let (input, output) = (sizes.iter().sum(), 4 * n_results as u64);
-        for (what, size) in [("input", input), ("output", output)] {
-            if size > gpu.max_binding {
-                let (adapter, limit) = (&gpu.info.name, gpu.max_binding);
-                let message = format!("{what} of {size} bytes is over {adapter}'s {limit}");
-                return Err(RenderError::Device(message));
-            }
+        words.resize(words.len().next_multiple_of(INPUT_WIDTH), [0; 4]);
+        let n_rows = (words.len() / INPUT_WIDTH) as u32;
+        self.reserve(gpu, kernels, n_rows, 4 * n_results as u64)?;
+        if n_rows == 0 {
+            return Ok(());
         }
-        if input > self.input.size() || output > self.output.size() {
-            self.input = input_buffer(gpu, grown(self.input.size(), input, gpu));
-            self.output = output_buffer(gpu, grown(self.output.size(), output, gpu));
-            self.bound = bind(gpu, &kernels.work, &[&self.input, &self.output]);
-        }
-        let mut at = 0;
-        for (part, size) in parts.iter().zip(&sizes) {
-            if *size > 0 {
-                gpu.queue.write_buffer(&self.input, at, bytemuck::cast_slice(part));
-            }
-            at += size;
-        }
+        let layout = wgpu::TexelCopyBufferLayout {
+            offset: 0,
+            bytes_per_row: Some((INPUT_WIDTH * size_of::<Word>()) as u32),
+            rows_per_image: None,
+        };
+        let extent =
+            wgpu::Extent3d { width: INPUT_WIDTH as u32, height: n_rows, depth_or_array_layers: 1 };
+        let bytes = bytemuck::cast_slice(words);
+        gpu.queue.write_texture(self.input.as_image_copy(), bytes, layout, extent);
         Ok(())
     }
 
-    /// Submits the recorded work, waits, and hands `take` the first `n_results` words of output and
-    /// then those of each of the `others`: (buffer, first byte, bytes).
+    /// Makes room for so many rows of input and bytes of output.
+    pub(super) fn reserve(
+        &mut self,
+        gpu: &Gpu,
+        kernels: &Kernels,
+        n_rows: u32,
+        n_bytes: u64,
+    ) -> Result<(), RenderError> {
+        for (what, size, limit) in [
+            ("input rows", u64::from(n_rows), u64::from(gpu.max_texture_side)),
+            ("output bytes", n_bytes, gpu.max_binding),
+        ] {
+            if size > limit {
+                let message = format!("{size} {what} are more than its {limit}");
+                return Err(RenderError::Device(message));
+            }
+        }
+        if n_rows <= self.input.height() && n_bytes <= self.output.size() {
+            return Ok(());
+        }
+        if n_rows > self.input.height() {
+            self.input = input_texture(gpu, n_rows.next_power_of_two().min(gpu.max_texture_side));
+        }
+        if n_bytes > self.output.size() {
+            self.output = output_buffer(gpu, n_bytes.next_power_of_two().min(gpu.max_binding));
+        }
+        self.bound = bind_work(gpu, kernels, &self.input, &self.output);
+        Ok(())
+    }
+
+    /// Submits the recorded work, waits, and hands `take` the first `n_results` numbers of output
+    /// and then the whole of `other`.
     pub(super) fn finish<T>(
         &mut self,
         gpu: &Gpu,
         mut encoder: wgpu::CommandEncoder,
         n_results: usize,
-        others: &[(&wgpu::Buffer, u64, u64)],
+        other: Option<&wgpu::Buffer>,
         take: impl FnOnce(&[u32]) -> T,
     ) -> Result<T, RenderError> {
         let results = 4 * n_results as u64;
-        let size = results + others.iter().map(|o| o.2).sum::<u64>();
+        let size = results + other.map_or(0, wgpu::Buffer::size);
         if size > self.readback.size() {
             self.readback = readback_buffer(gpu, size.next_power_of_two());
         }
-        let mut at = 0;
-        for (buffer, from, size) in [(&self.output, 0, results)].iter().chain(others) {
-            if *size > 0 {
-                encoder.copy_buffer_to_buffer(buffer, *from, &self.readback, at, Some(*size));
-            }
-            at += size;
+        let parts = [(&self.output, 0, results)];
+        let other = other.map(|buffer| (buffer, results, buffer.size()));
+        for (buffer, at, size) in parts.into_iter().chain(other).filter(|p| p.2 > 0) {
+            encoder.copy_buffer_to_buffer(buffer, 0, &self.readback, at, Some(size));
         }
         gpu.queue.submit([encoder.finish()]);
         gpu.read(&self.readback, size, |bytes| take(bytemuck::cast_slice(bytes)))
     }
 }
 
-fn grown(old: u64, needed: u64, gpu: &Gpu) -> u64 {
-    if needed <= old { old } else { needed.next_power_of_two().min(gpu.max_binding) }
-}
-
-fn input_buffer(gpu: &Gpu, size: u64) -> wgpu::Buffer {
-    gpu.buffer("input", size, wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST)
+fn input_texture(gpu: &Gpu, n_rows: u32) -> wgpu::Texture {
+    let usage = wgpu::TextureUsages::STORAGE_BINDING | wgpu::TextureUsages::COPY_DST;
+    let extent = (INPUT_WIDTH as u32, n_rows, 1);
+    gpu.texture("input", extent, wgpu::TextureFormat::Rgba32Uint, usage)
 }
 
 fn output_buffer(gpu: &Gpu, size: u64) -> wgpu::Buffer {
@@ -105,4 +130,15 @@ fn output_buffer(gpu: &Gpu, size: u64) -> wgpu::Buffer {
 
 fn readback_buffer(gpu: &Gpu, size: u64) -> wgpu::Buffer {
     gpu.buffer("readback", size, wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST)
+}
+
+fn bind_work(
+    gpu: &Gpu,
+    kernels: &Kernels,
+    input: &wgpu::Texture,
+    output: &wgpu::Buffer,
+) -> wgpu::BindGroup {
+    let input = input.create_view(&wgpu::TextureViewDescriptor::default());
+    let resources = [wgpu::BindingResource::TextureView(&input), output.as_entire_binding()];
+    bind(gpu, &kernels.work, &resources)
 }

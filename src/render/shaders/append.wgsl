@@ -1,14 +1,14 @@
 // Building, first half: every triangle pushes its fragments on unsorted per-pixel stacks. One
 // invocation takes a band of rows of one triangle: item (triangle's place, first row, last row).
 
-@group(2) @binding(0) var<storage, read_write> heads: array<atomic<u32>>;
-// (face, z << 16 | luminance << 8, index + 1 of the node below, 0).
+@group(2) @binding(0) var<storage, read_write> tops: array<atomic<u32>>;
+// (face, fragment, index + 1 of the node below, 0).
 @group(2) @binding(1) var<storage, read_write> nodes: array<vec4<u32>>;
 
 fn push(pixel: u32, face: u32, fragment: u32) {
     let node = atomicAdd(&counters.nodes_used, 1u);
     if node < params.n_nodes {
-        let below = atomicExchange(&heads[pixel], node + 1u);
+        let below = atomicExchange(&tops[pixel], node + 1u);
         nodes[node] = vec4<u32>(face, fragment, below, 0u);
     }
 }
@@ -22,13 +22,12 @@ fn append(
     if item >= params.n_items {
         return;
     }
-    let band = input[params.first_item + item];
+    let band = word(params.first_item + item);
     let t = load_triangle(band.x);
     for (var j = i32(band.y); j <= i32(band.z); j += 1) {
         for (var i = t.low.x; i <= t.high.x; i += 1) {
             if covers(t, i, j) {
-                let fragment = depth_bits(t, i, j) | (luminance(band.x, i, j) << 8u);
-                push(u32(j) * params.row_stride + u32(i), t.face, fragment);
+                push(u32(j * params.size + i), t.face, fragment_of(t, band.x, i, j));
             }
         }
     }

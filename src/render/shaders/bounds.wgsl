@@ -1,7 +1,6 @@
-// The greatest front depth of a tile. One invocation a tile: item (address of the first pixel,
-// columns, rows, 0).
+// The greatest front depth of a tile. One invocation a tile: item (x, y, x end | y end << 16, view).
 
-@group(0) @binding(1) var<storage, read> depth_lum: array<u32>;
+@group(0) @binding(0) var near: texture_storage_2d_array<rgba32uint, read>;
 
 @compute @workgroup_size(64)
 fn bounds(
@@ -12,11 +11,11 @@ fn bounds(
     if item >= params.n_items {
         return;
     }
-    let tile = input[params.first_item + item];
+    let tile = word(params.first_item + item);
     var far = 0u;
-    for (var row = 0u; row < tile.z; row += 1u) {
-        for (var column = 0u; column < tile.y; column += 1u) {
-            far = max(far, depth_lum[tile.x + row * params.row_stride + column] >> 16u);
+    for (var y = tile.y; y <= tile.z >> 16u; y += 1u) {
+        for (var x = tile.x; x <= (tile.z & 0xffffu); x += 1u) {
+            far = max(far, textureLoad(near, vec2<u32>(x, y), tile.w).y >> 16u);
         }
     }
     output[params.output_at + item] = far;

@@ -1,5 +1,5 @@
-// Empties the lists and enters the reference picture. One invocation a pixel; `input` holds the
-// reference, four luminances a word.
+// Empties a view's lists and enters its reference picture. One invocation a pixel; the input holds
+// the reference, sixteen luminances a word.
 
 @compute @workgroup_size(64)
 fn clear(
@@ -10,12 +10,9 @@ fn clear(
     if item >= params.n_items {
         return;
     }
-    let pixel = params.first_pixel + item;
-    let reference = (input[item >> 4u][(item >> 2u) & 3u] >> ((item & 3u) * 8u)) & 0xffu;
-    for (var layer = 0u; layer < N_LAYERS; layer += 1u) {
-        let at = layer * params.n_pixels + pixel;
-        faces[at] = NO_FACE;
-        depth_lum[at] = params.background | select(0u, reference, layer == 0u);
-    }
-    links[pixel] = NIL;
+    let size = u32(params.size);
+    let p = Pixel(vec2<i32>(vec2<u32>(item % size, item / size)), params.view);
+    let reference = (word(item >> 4u)[(item >> 2u) & 3u] >> ((item & 3u) * 8u)) & 0xffu;
+    store_four(p, Four(vec4<u32>(NO_FACE), vec4<u32>(params.background), reference));
+    textureStore(heads, p.at, p.view, vec4<u32>(0u));
 }

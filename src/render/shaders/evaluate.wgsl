@@ -1,96 +1,47 @@
 // The change of energy of one band of one move in one view: raster the triangles that come into a
-// small buffer, each within its own rectangle; then compare, four pixels at a time, the nearest
-// fragment that stays with the nearest that comes. Any number of triangles.
+// small buffer, each within its own rectangle; then compare, cell by cell, the nearest fragment
+// that stays with the nearest that comes. Any number of triangles.
 
-@group(0) @binding(0) var<storage, read> faces: array<vec4<u32>>;
-@group(0) @binding(1) var<storage, read> depth_lum: array<vec4<u32>>;
-@group(0) @binding(2) var<storage, read> links: array<u32>;
-
-const BAND_QUADS: u32 = 64u;
+const BAND_CELLS: u32 = 64u;
 // z << 16 | rank of the nearest triangle that comes, OUTSIDE where there is none.
-var<private> nearest: array<vec4<u32>, BAND_QUADS>;
+var<private> nearest: array<vec4<u32>, BAND_CELLS>;
+
+const COLUMN = vec4<i32>(0, 1, 0, 1);
+const ROW = vec4<i32>(0, 0, 1, 1);
 
 fn raster(item: Item, rank: u32) {
     let t = load_triangle(item.added_at + 3u * rank);
-    let low = max(t.low, vec2<i32>(item.x, item.y)) - vec2<i32>(item.x, item.y);
-    let end = vec2<i32>(item.x + 4 * i32(item.n_quads), item.y + i32(item.n_rows)) - 1;
-    let high = min(t.high, end) - vec2<i32>(item.x, item.y);
+    let corner = vec2<i32>(item.x, item.y);
+    let last = 2 * vec2<i32>(vec2<u32>(item.n_columns, item.n_rows)) - 1;
+    let low = max(t.low - corner, vec2<i32>(0)) >> vec2<u32>(1u);
+    let high = min(t.high - corner, last) >> vec2<u32>(1u);
     for (var row = low.y; row <= high.y; row += 1) {
-        for (var quad = low.x >> 2u; quad <= high.x >> 2u; quad += 1) {
-            let i = vec4<i32>(item.x + 4 * quad) + vec4<i32>(0, 1, 2, 3);
-            let j = item.y + row;
+        for (var column = low.x; column <= high.x; column += 1) {
+            let i = vec4<i32>(item.x + 2 * column) + COLUMN;
+            let j = vec4<i32>(item.y + 2 * row) + ROW;
             let a = t.edge_a.x + t.edge_a.y * i + t.edge_a.z * j;
             let b = t.edge_b.x + t.edge_b.y * i + t.edge_b.z * j;
             let c = t.edge_c.x + t.edge_c.y * i + t.edge_c.z * j;
             let z = bitcast<vec4<u32>>(t.depth.x + t.depth.y * i + t.depth.z * j);
             let key = (z & vec4<u32>(0xffff0000u)) | vec4<u32>(rank)
                 | bitcast<vec4<u32>>((a | b | c) >> vec4<u32>(31u));
-            let slot = u32(row) * item.n_quads + u32(quad);
+            let slot = u32(row) * item.n_columns + u32(column);
             nearest[slot] = min(nearest[slot], key);
         }
     }
 }
 
-// The fragment of pool address `at` or behind it that stays, as (face, z << 16 | luminance << 8).
-fn stays_in_pool(item: Item, pixel: u32) -> vec2<u32> {
-    let chained = (N_LAYERS - 1u) * params.n_pixels;
-    var at = links[pixel];
-    while at != NIL {
-        let face = faces[at >> 2u][at & 3u];
-        if !goes(item, vec4<u32>(face)).x {
-            return vec2<u32>(face, depth_lum[at >> 2u][at & 3u]);
-        }
-        at = links[at - chained];
-    }
-    return vec2<u32>(NO_FACE, params.background);
-}
-
-fn square(v: vec4<u32>) -> vec4<i32> {
-    return bitcast<vec4<i32>>(v * v);
-}
-
-// The change of four pixels.
-fn resolve(item: Item, row: u32, quad: u32) -> i32 {
-    let first = item.first + row * params.row_stride + 4u * quad;
-    let front_face = faces[first >> 2u];
-    let front = depth_lum[first >> 2u];
-    var face = front_face;
-    var stay = front;
-    var looking = goes(item, front_face);
-    for (var layer = 1u; layer < N_LAYERS && any(looking); layer += 1u) {
-        let at = (layer * params.n_pixels + first) >> 2u;
-        face = select(face, faces[at], looking);
-        stay = select(stay, depth_lum[at], looking);
-        looking = looking & goes(item, face);
-    }
-    if any(looking) {
-        for (var k = 0u; k < 4u; k += 1u) {
-            if looking[k] {
-                let f = stays_in_pool(item, first + k);
-                face[k] = f.x;
-                stay[k] = f.y;
-            }
-        }
-    }
-    let key = nearest[row * item.n_quads + quad];
-    let i = vec4<i32>(item.x + 4 * i32(quad)) + vec4<i32>(0, 1, 2, 3);
-    var lum = (stay >> vec4<u32>(8u)) & vec4<u32>(0xffu);
-    for (var k = 0u; k < 4u; k += 1u) {
-        let comes = key[k] >> 16u;
-        let stays = stay[k] >> 16u;
-        let level = comes == stays;
-        if key[k] != OUTSIDE && comes <= stays {
-            let added = item.added_at + 3u * (key[k] & 0xffffu);
-            if !level || input[added + 1u].w < face[k] {
-                lum[k] = luminance(added, i[k], item.y + i32(row));
-            }
-        }
-    }
-    let reference = front & vec4<u32>(0xffu);
-    let before = (front >> vec4<u32>(8u)) & vec4<u32>(0xffu);
-    let change = square(lum - reference) - square(before - reference);
-    let shown = select(vec4<i32>(0), change, i < vec4<i32>(params.size));
-    return shown.x + shown.y + shown.z + shown.w;
+// The luminances of the triangles that come.
+fn luminances(item: Item, key: vec4<u32>, i: vec4<i32>, j: vec4<i32>) -> vec4<u32> {
+    let rank = min(key & vec4<u32>(0xffffu), vec4<u32>(max(item.n_added, 1u) - 1u));
+    let at = item.added_at + 3u * rank + 2u;
+    let a = bitcast<vec4<i32>>(word(at.x));
+    let b = bitcast<vec4<i32>>(word(at.y));
+    let c = bitcast<vec4<i32>>(word(at.z));
+    let d = bitcast<vec4<i32>>(word(at.w));
+    let lum = vec4<i32>(a.x, b.x, c.x, d.x) + vec4<i32>(a.y, b.y, c.y, d.y) * i
+        + vec4<i32>(a.z, b.z, c.z, d.z) * j;
+    return bitcast<vec4<u32>>(lum) >> vec4<u32>(16u);
 }
 
 @compute @workgroup_size(64)
@@ -103,17 +54,46 @@ fn evaluate(
         return;
     }
     let item = load_item(params.first_item + index);
-    for (var slot = 0u; slot < item.n_quads * item.n_rows; slot += 1u) {
+    let n_cells = item.n_columns * item.n_rows;
+    for (var slot = 0u; slot < n_cells; slot += 1u) {
         nearest[slot] = vec4<u32>(OUTSIDE);
     }
     for (var rank = 0u; rank < item.n_added; rank += 1u) {
         raster(item, rank);
     }
-    var sum = 0;
-    for (var row = 0u; row < item.n_rows; row += 1u) {
-        for (var quad = 0u; quad < item.n_quads; quad += 1u) {
-            sum += resolve(item, row, quad);
+    var sum = vec4<i32>(0);
+    var put_off = vec2<u32>(0u);
+    var corner = vec2<i32>(0);
+    for (var cell = 0u; cell < n_cells; cell += 1u) {
+        let i = vec4<i32>(item.x + corner.x) + COLUMN;
+        let j = vec4<i32>(item.y + corner.y) + ROW;
+        let a = textureLoad(near, vec2<i32>(i.x, j.x), item.view);
+        let b = textureLoad(near, vec2<i32>(i.y, j.y), item.view);
+        let c = textureLoad(near, vec2<i32>(i.z, j.z), item.view);
+        let d = textureLoad(near, vec2<i32>(i.w, j.w), item.view);
+        let front = vec4<u32>(a.y, b.y, c.y, d.y);
+        let going = goes(item, vec4<u32>(a.x, b.x, c.x, d.x));
+        let unsure = going & goes(item, vec4<u32>(a.z, b.z, c.z, d.z));
+        let stays = select(front, vec4<u32>(a.w, b.w, c.w, d.w), going);
+        let key = nearest[cell];
+        let z_comes = key >> vec4<u32>(16u);
+        let z_stays = stays >> vec4<u32>(16u);
+        let level = (z_comes == z_stays) & (key != vec4<u32>(OUTSIDE));
+        let low = vec4<u32>(0xffu);
+        let lum = select(stays >> vec4<u32>(8u), luminances(item, key, i, j), z_comes < z_stays);
+        let reference = front & low;
+        let change = square((lum & low) - reference)
+            - square(((front >> vec4<u32>(8u)) & low) - reference);
+        let shown = (i < vec4<i32>(params.size)) & (j < vec4<i32>(params.size));
+        let later = any((unsure | level) & shown);
+        let bit = select(0u, 1u << (cell & 31u), later);
+        put_off |= select(vec2<u32>(bit, 0u), vec2<u32>(0u, bit), cell > 31u);
+        sum += select(vec4<i32>(0), change, shown & vec4<bool>(!later));
+        corner.x += 2;
+        if corner.x == 2 * i32(item.n_columns) {
+            corner = vec2<i32>(0, corner.y + 2);
         }
     }
-    output[params.output_at + index] = bitcast<u32>(sum);
+    let all = sum.x + sum.y + sum.z + sum.w + change_of_rest(item, put_off);
+    output[params.output_at + index] = bitcast<u32>(all);
 }

@@ -1,10 +1,16 @@
-// The fragment lists, writable: insertion and removal by the one invocation that owns the pixel.
+// The fragment lists, writable, by the one invocation that owns the pixel.
+//
+// The first four fragments of a pixel lie in two textures, near and deep; the rest are chained
+// through the pool. Lists end at the first NO_FACE; pool nodes behind it stay with the pixel for
+// later use.
 
-@group(0) @binding(0) var<storage, read_write> faces: array<u32>;
-// z << 16 | luminance << 8; the front layer also holds the reference luminance in its low byte.
-@group(0) @binding(1) var<storage, read_write> depth_lum: array<u32>;
-@group(0) @binding(2) var<storage, read_write> links: array<u32>;
-@group(0) @binding(3) var<storage, read_write> counters: Counters;
+@group(0) @binding(0) var near: texture_storage_2d_array<rgba32uint, read_write>;
+@group(0) @binding(1) var deep: texture_storage_2d_array<rgba32uint, read_write>;
+// Pool index + 1 of the fifth fragment; 0 when there is none.
+@group(0) @binding(2) var heads: texture_storage_2d_array<r32uint, read_write>;
+// (face, fragment, index + 1 of the next, 0).
+@group(0) @binding(3) var<storage, read_write> pool: array<vec4<u32>>;
+@group(0) @binding(4) var<storage, read_write> counters: Counters;
 
 struct Counters {
     pool_used: atomic<u32>,
@@ -13,62 +19,124 @@ struct Counters {
     too_deep: atomic<u32>,
 }
 
-// The address behind `at`; NIL at the end of the pixel's storage.
-fn address_behind(at: u32) -> u32 {
-    let chained = (N_LAYERS - 1u) * params.n_pixels;
-    if at < chained {
-        return at + params.n_pixels;
+const MAX_DEPTH: u32 = 60000u;
+
+struct Pixel {
+    at: vec2<i32>,
+    view: u32,
+}
+
+// The first four fragments of a pixel, near to far: triangles, and z << 16 | luminance << 8.
+struct Four {
+    face: vec4<u32>,
+    fragment: vec4<u32>,
+    reference: u32,
+}
+
+fn load_four(p: Pixel) -> Four {
+    let a = textureLoad(near, p.at, p.view);
+    let b = textureLoad(deep, p.at, p.view);
+    let fragment = vec4<u32>(a.y & 0xffffff00u, a.w, b.yw);
+    return Four(vec4<u32>(a.xz, b.xz), fragment, a.y & 0xffu);
+}
+
+fn store_four(p: Pixel, four: Four) {
+    let a = vec4<u32>(four.face.x, four.fragment.x | four.reference, four.face.y, four.fragment.y);
+    let b = vec4<u32>(four.face.z, four.fragment.z, four.face.w, four.fragment.w);
+    textureStore(near, p.at, p.view, a);
+    textureStore(deep, p.at, p.view, b);
+}
+
+fn is_full(four: Four) -> bool {
+    return four.face.w != NO_FACE;
+}
+
+// Four with a fragment entered at its place; the last is pushed out.
+fn entered(four: Four, face: u32, fragment: u32) -> Four {
+    let z = four.fragment >> vec4<u32>(16u);
+    let new_z = vec4<u32>(fragment >> 16u);
+    let behind = (new_z < z) | ((new_z == z) & (vec4<u32>(face) < four.face));
+    let first = behind & !vec4<bool>(false, behind.xyz);
+    let shifted_face = select(vec4<u32>(0u, four.face.xyz), vec4<u32>(face), first);
+    let shifted = select(vec4<u32>(0u, four.fragment.xyz), vec4<u32>(fragment), first);
+    return Four(select(four.face, shifted_face, behind), select(four.fragment, shifted, behind),
+        four.reference);
+}
+
+// The place behind `place`, NIL at the end of what the pixel has. Places 0 to 3 are the four, 4 and
+// above are the pool's nodes.
+fn place_behind(p: Pixel, place: u32) -> u32 {
+    if place < 3u {
+        return place + 1u;
     }
-    return links[at - chained];
+    var link = 0u;
+    if place == 3u {
+        link = textureLoad(heads, p.at, p.view).x;
+    } else {
+        link = pool[place - 4u].z;
+    }
+    return select(link + 3u, NIL, link == 0u);
+}
+
+// (face, fragment) at a place.
+fn fragment_at(p: Pixel, place: u32) -> vec2<u32> {
+    if place >= 4u {
+        return pool[place - 4u].xy;
+    }
+    let four = load_four(p);
+    return vec2<u32>(four.face[place], four.fragment[place]);
+}
+
+fn put(p: Pixel, place: u32, f: vec2<u32>) {
+    if place >= 4u {
+        pool[place - 4u] = vec4<u32>(f, pool[place - 4u].zw);
+    } else {
+        var four = load_four(p);
+        four.face[place] = f.x;
+        four.fragment[place] = f.y;
+        store_four(p, four);
+    }
 }
 
 // Gives the pixel one more place behind `last`; NIL when the pool is used up.
-fn extend(last: u32) -> u32 {
-    let chained = (N_LAYERS - 1u) * params.n_pixels;
-    let at = N_LAYERS * params.n_pixels + atomicAdd(&counters.pool_used, 1u);
-    if at >= params.n_addresses {
+fn extend(p: Pixel, last: u32) -> u32 {
+    let index = atomicAdd(&counters.pool_used, 1u);
+    if index >= params.n_pool {
         atomicStore(&counters.pool_short, 1u);
         return NIL;
     }
-    links[last - chained] = at;
-    links[at - chained] = NIL;
-    faces[at] = NO_FACE;
-    depth_lum[at] = params.background;
-    return at;
+    pool[index] = vec4<u32>(NO_FACE, params.background, 0u, 0u);
+    if last == 3u {
+        textureStore(heads, p.at, p.view, vec4<u32>(index + 1u, 0u, 0u, 0u));
+    } else {
+        pool[last - 4u].z = index + 1u;
+    }
+    return index + 4u;
 }
 
-fn put(at: u32, face: u32, fragment: u32) {
-    faces[at] = face;
-    depth_lum[at] = fragment | (depth_lum[at] & 0xffu);
-}
-
-// Enters a fragment at its place and moves the rest back by one.
-fn insert(pixel: u32, new_face: u32, new_fragment: u32) {
-    var face = new_face;
-    var fragment = new_fragment;
-    var at = pixel;
+// Enters a fragment into a list of any length.
+fn insert(p: Pixel, face: u32, fragment: u32) {
+    var carry = vec2<u32>(face, fragment);
+    var place = 0u;
     var depth = 0u;
     loop {
-        let other_face = faces[at];
-        let other = depth_lum[at] & 0xffffff00u;
-        let nearer = fragment >> 16u < other >> 16u;
-        let level = fragment >> 16u == other >> 16u;
-        if nearer || (level && face < other_face) {
-            put(at, face, fragment);
-            face = other_face;
-            fragment = other;
+        let other = fragment_at(p, place);
+        let level = carry.y >> 16u == other.y >> 16u;
+        if (carry.y >> 16u < other.y >> 16u) || (level && carry.x < other.x) {
+            put(p, place, carry);
+            carry = other;
         }
-        if face == NO_FACE {
+        if carry.x == NO_FACE {
             break;
         }
-        var behind = address_behind(at);
+        var behind = place_behind(p, place);
         if behind == NIL {
-            behind = extend(at);
+            behind = extend(p, place);
         }
         if behind == NIL {
             break;
         }
-        at = behind;
+        place = behind;
         depth += 1u;
         if depth > MAX_DEPTH {
             atomicStore(&counters.too_deep, 1u);
