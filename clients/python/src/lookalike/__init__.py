@@ -11,8 +11,8 @@
 
 `client.py` makes calls that survive a restart of the server; `run.py` follows one job; `models.py`
 turns meshes into bytes and back; `spec.py` turns keywords into a specification; `curve.py` keeps
-and draws the energy; `errors.py` is everything that can go wrong; `server.py` runs a server of one's
-own. The messages themselves are generated into `lookalike.v1`.
+and draws the energy; `errors.py` is everything that can go wrong; `server.py` runs a server of
+one's own. The messages themselves are generated into `lookalike.v1`.
 """
 
 from lookalike.client import Client
