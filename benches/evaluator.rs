@@ -5,6 +5,8 @@
 //! evaluation, which other programs on the machine disturb less than the wall clock, then lets
 //! criterion time batches.
 
+#![allow(clippy::expect_used, reason = "a benchmark fails by panicking")]
+
 use std::{fs, hint::black_box, time::Instant};
 
 use criterion::Criterion;
