@@ -1,14 +1,17 @@
 //! Speed of memoryless simplification, one thread: triangles removed per second on generated
 //! meshes of two sizes (the rate should hardly depend on the size), and the cost of one placement.
 //!
-//! For comparison, CGAL 5.5.1's `edge_collapse` with its Lindstrom–Turk policies, measured with
-//! CPU clocks in alternation with this code on the same machine (2 shared cores of an AMD EPYC,
-//! 2026-11-23, other work running):
+//! For comparison, CGAL 5.5.1's `edge_collapse` with its Lindstrom–Turk policies, CPU clocks, on
+//! the same machine (2 shared cores of an AMD EPYC, 2026-11-23) under heavy other load, so that
+//! only the ratios mean anything, and those to about a tenth:
 //!
-//! | model | CGAL | this | ratio |
-//! |---|---:|---:|---:|
-//! | Stanford bunny 69,451 → 1,336 | 1.47 s | 0.200 s | 7.3 |
-//! | Stanford dragon 871,414 → 8,192 | 34.3 s | 4.87 s | 7.0 |
+//! | model | CGAL | this | ratio | how |
+//! |---|---:|---:|---:|---|
+//! | Stanford bunny 69,451 → 1,336 | 1.47 s | 0.200 s | 7.3 | best of 4, in alternation |
+//! | the same, after the last change of layout | 2.04 s | 0.297 s | 6.9 | best of 4, in alternation |
+//! | Stanford dragon 871,414 → 8,192 | 34.3 s | 4.87 s | 7.0 | one run of CGAL, best of 6, apart |
+//!
+//! The dragon cost 1.8 times as much per triangle as the bunny here (CGAL: 1.4 to 1.8 times).
 //!
 //! Memory latency bounds it: an edge that comes up after its surroundings changed touches about
 //! twenty cache lines anywhere in the mesh. Huge pages (`GLIBC_TUNABLES=glibc.malloc.hugetlb=1`)
