@@ -68,9 +68,6 @@ const MAY_IMPORT: [(&str, &[&str]); 15] = [
 const SOLE_OWNERS: [(&str, &[&str]); 12] = [
     ("gltf", &["io"]),
     ("gltf_json", &["io"]),
-    ("tobj", &["io"]),
-    ("stl_io", &["io"]),
-    ("ply_rs_bw", &["io"]),
     ("wgpu", &["render"]),
     ("bytemuck", &["render", "io"]),
     ("plotters", &["compare"]),
