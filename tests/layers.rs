@@ -65,7 +65,7 @@ const MAY_IMPORT: [(&str, &[&str]); 15] = [
 
 /// External crate → the only modules that may name it. Wire stubs live in `service`; the worker
 /// speaks to a server through them, and the command line is a client.
-const SOLE_OWNERS: [(&str, &[&str]); 12] = [
+const SOLE_OWNERS: [(&str, &[&str]); 9] = [
     ("gltf", &["io"]),
     ("gltf_json", &["io"]),
     ("wgpu", &["render"]),
