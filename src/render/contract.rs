@@ -87,6 +87,11 @@ pub const LOOKS: [Look; 4] = [
 /// The scene of a bumpy sphere.
 pub fn scene(n: usize, look: Look) -> Scene {
     let (positions, faces) = bumpy_sphere(n);
+    scene_of(positions, faces, look)
+}
+
+/// The scene of any triangles.
+pub fn scene_of(positions: Vec<DVec3>, faces: Vec<[u32; 3]>, look: Look) -> Scene {
     let view_params = ViewParams {
         directions: directions(look.n_views).unwrap(),
         fov_degrees: 60.0,
@@ -134,6 +139,18 @@ pub fn collapse_move(scene: &Scene, keep: u32, drop: u32, to: DVec3) -> Move {
     }
     if smooth {
         mv.normals = new_normals(scene, &mv, &affected);
+    }
+    mv
+}
+
+/// Displaces vertices under flat shading, by brute force over all faces.
+pub fn displacement(scene: &Scene, moved: &[(u32, DVec3)]) -> Move {
+    let mut mv = Move { moved: moved.iter().copied().collect(), ..Move::default() };
+    for (id, f) in scene.faces.iter().enumerate() {
+        let touches = |f: &SceneFace| moved.iter().any(|m| f.vertices.contains(&m.0));
+        let Some(f) = f.filter(touches) else { continue };
+        mv.removed.push(id as u32);
+        mv.added.push(AddedFace { face: id as u32, vertices: f.vertices, albedo: f.albedo });
     }
     mv
 }
@@ -237,12 +254,7 @@ fn ten_thousand_edits_equal_a_full_re_render() {
         let v = rng.next_u32() % (9 * 16);
         let offset = [0; 3].map(|_: i32| f64::from(rng.next_u32() % 2001) / 10_000.0 - 0.1);
         let to = scene.position(v).lerp(DVec3::ZERO, 0.05) + DVec3::from_array(offset);
-        let mut mv = Move { moved: [(v, to)].into_iter().collect(), ..Move::default() };
-        for (id, f) in scene.faces.iter().enumerate() {
-            let Some(f) = f.filter(|f| f.vertices.contains(&v)) else { continue };
-            mv.removed.push(id as u32);
-            mv.added.push(AddedFace { face: id as u32, vertices: f.vertices, albedo: f.albedo });
-        }
+        let mv = displacement(&scene, &[(v, to)]);
         twin.commit(&mut scene, &mv).unwrap();
     }
     let full = raster::reference(&scene).pictures;

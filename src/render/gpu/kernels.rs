@@ -334,7 +334,12 @@ mod tests {
 
     use wgpu::naga;
 
-    use super::super::{lists::Counters, pack::BAND_CELLS, work::INPUT_WIDTH_BITS};
+    use super::super::{
+        CUT_OFF,
+        lists::{Counters, MAX_DEPTH},
+        pack::BAND_CELLS,
+        work::INPUT_WIDTH_BITS,
+    };
     use super::*;
 
     fn parse(kernel: Kernel) -> naga::Module {
@@ -387,10 +392,13 @@ mod tests {
         let params = mirror!(Params: first_item, n_items, output_at, size, first_center,
             sub_bits, background, view, n_nodes, n_pool);
         assert_eq!(members(&module, "Params"), params);
-        let counters = mirror!(Counters: pool_used, nodes_used, pool_short, too_deep);
+        let counters =
+            mirror!(Counters: pool_used, nodes_used, pool_short, too_deep, cut_off, unsorted);
         assert_eq!(members(&module, "Counters"), counters);
         assert_eq!(constant(&module, "INPUT_WIDTH_BITS"), INPUT_WIDTH_BITS);
         assert_eq!(constant(&module, "WORKGROUP"), WORKGROUP);
+        assert_eq!(constant(&module, "CUT_OFF"), CUT_OFF);
+        assert_eq!(constant(&module, "MAX_DEPTH"), MAX_DEPTH);
         assert_eq!(constant(&parse(Kernel::Evaluate), "BAND_CELLS"), BAND_CELLS);
     }
 

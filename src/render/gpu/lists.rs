@@ -48,14 +48,23 @@ pub(super) struct Counters {
     pub(super) pool_short: u32,
     /// Not 0 when a list is longer than kernels can follow.
     pub(super) too_deep: u32,
+    /// Not 0 when the driver ended loops early.
+    pub(super) cut_off: u32,
+    /// Building: not 0 when stacks are left to sort.
+    pub(super) unsorted: u32,
 }
+
+/// Offset of [`Counters::nodes_used`] in the buffer.
+const NODES_USED_AT: u64 = 4;
+/// Offset of [`Counters::unsorted`].
+const UNSORTED_AT: u64 = 20;
 
 impl Counters {
     /// From the numbers that came back.
     pub(super) fn of(words: &[u32]) -> Self {
         match *words {
-            [pool_used, nodes_used, pool_short, too_deep, ..] => {
-                Self { pool_used, nodes_used, pool_short, too_deep }
+            [pool_used, nodes_used, pool_short, too_deep, cut_off, unsorted, ..] => {
+                Self { pool_used, nodes_used, pool_short, too_deep, cut_off, unsorted }
             }
             _ => Self::default(),
         }
@@ -66,9 +75,14 @@ impl Counters {
         if self.too_deep == 0 {
             return Ok(());
         }
-        Err(RenderError::Device("a pixel has more than 60,000 triangles behind it".into()))
+        let text = "a pixel has more than 4,096 triangles behind it; use the device `cpu`";
+        Err(RenderError::Device(text.into()))
     }
 }
+
+/// The longest list, fragments (`MAX_DEPTH` in lists.wgsl, and the number in the message above).
+#[cfg(test)]
+pub(super) const MAX_DEPTH: u32 = 4096;
 
 /// What the lists are built with and from.
 pub(super) struct Builder<'a> {
@@ -94,6 +108,10 @@ impl Builder<'_> {
                 self.clear_view(&lists, view)?;
                 used = self.build_view(&lists, &stacks, view)?;
                 used.check_depth()?;
+                if used.cut_off != 0 {
+                    let text = "its driver ended loops early; use the device `cpu`";
+                    return Err(RenderError::Device(text.into()));
+                }
                 if used.nodes_used > stacks.n_nodes {
                     let n_nodes = used.nodes_used;
                     stacks = Stacks::new(self.gpu, self.kernels, self.scene, n_nodes)?;
@@ -139,7 +157,7 @@ impl Builder<'_> {
         let base = Params { view: view as u32, n_nodes: stacks.n_nodes, ..lists.params };
         let mut commands = encoder(self.gpu);
         commands.clear_buffer(&stacks.tops, 0, None);
-        commands.clear_buffer(&lists.counters, 4, Some(4));
+        commands.clear_buffer(&lists.counters, NODES_USED_AT, Some(4));
         for first in (0..self.scene.faces.len()).step_by(BUILD_CHUNK) {
             let last = (first + BUILD_CHUNK).min(self.scene.faces.len());
             let (mut words, n_items) = pack_faces(self.scene, view, first..last);
@@ -154,9 +172,27 @@ impl Builder<'_> {
             // The input is written anew for the next chunk, so this one must be under way first.
             self.gpu.queue.submit([std::mem::replace(&mut commands, encoder(self.gpu)).finish()]);
         }
-        let n_items = self.n_pixels();
-        self.dispatch(&mut commands, Kernel::Sort, &Params { n_items, ..base }, lists, stacks);
-        self.work.finish(self.gpu, commands, 0, Some(&lists.counters), Counters::of)
+        self.sort(commands, lists, stacks, &Params { n_items: self.n_pixels(), ..base })
+    }
+
+    /// Sorts the stacks into the lists, in as many dispatches as it takes.
+    fn sort(
+        &mut self,
+        mut commands: wgpu::CommandEncoder,
+        lists: &Lists,
+        stacks: &Stacks,
+        params: &Params,
+    ) -> Result<Counters, RenderError> {
+        loop {
+            commands.clear_buffer(&lists.counters, UNSORTED_AT, Some(4));
+            self.dispatch(&mut commands, Kernel::Sort, params, lists, stacks);
+            let counters = Some(&lists.counters);
+            let used = self.work.finish(self.gpu, commands, 0, counters, Counters::of)?;
+            if used.unsorted == 0 || used.too_deep != 0 {
+                return Ok(used);
+            }
+            commands = encoder(self.gpu);
+        }
     }
 
     fn dispatch(

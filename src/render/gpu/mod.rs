@@ -5,7 +5,9 @@
 //!    native twin uses;
 //! 2. results do not depend on the adapter, the batch, or the order in which its items run;
 //! 3. `bounds` on the host mirrors the fronts on the device, so that moves that happen behind what
-//!    is seen cost nothing but their projection.
+//!    is seen cost nothing but their projection;
+//! 4. kernels notice when the driver ends their loops early (lavapipe does), and what they did is
+//!    then done again in smaller parts: no driver's limit changes a result.
 //!
 //! One submission a batch: items sorted by area go up, a 32-bit sum for each comes back, the host
 //! adds them up in 64 bits.
@@ -15,14 +17,14 @@ mod lists;
 mod pack;
 mod work;
 
-use std::ops::Range;
+use std::{collections::BTreeSet, ops::Range};
 
 use rayon::prelude::*;
 
 use self::{
     kernels::{Kernel, Kernels, Params},
     lists::{Builder, Counters, Lists},
-    pack::{ITEM_WORDS, Item, Packed, Packer, Purpose, Word},
+    pack::{BAND_CELLS, ITEM_WORDS, Item, Packed, Packer, Purpose, Word},
     work::Work,
 };
 use super::{
@@ -36,6 +38,10 @@ use super::{
 
 /// Moves of one submission.
 const BATCH: usize = 512;
+/// Instead of a sum: the driver ended the item's loops early (`CUT_OFF` in common.wgsl).
+const CUT_OFF: u32 = 1 << 31;
+/// What is left of an item's cells when it has to be cut smaller.
+const CUT_TO: u32 = 8;
 
 /// The device evaluator.
 pub struct Device {
@@ -48,6 +54,15 @@ pub struct Device {
     energy: u64,
     /// Pixels along a side of a picture.
     size: usize,
+    /// Cells of an item of a move that is made, at most: fewer where lists are long.
+    make_cells: u32,
+}
+
+/// What became of a move that was made.
+struct Made {
+    /// The change of energy, if no driver stood in the way of finding it.
+    delta: Option<i64>,
+    used: Counters,
 }
 
 impl Device {
@@ -67,14 +82,22 @@ impl Device {
         kernels.prepare(&gpu, &[Kernel::Update, Kernel::Bounds, Kernel::Fronts])?;
         let size = scene.lattice.size;
         let bounds = vec![TileBounds::new(size); scene.n_views()];
-        let (energy, size) = (0, size as usize);
-        let mut device = Self { gpu, kernels, work, lists, bounds, reference, energy, size };
-        for view in 0..scene.n_views() {
-            let fronts = device.fronts(view)?;
-            device.energy += squared_difference(&device.reference.pictures[view], &fronts);
-            device.refresh_bounds(view, &fronts);
-        }
+        let (energy, size, make_cells) = (0, size as usize, BAND_CELLS);
+        let mut device =
+            Self { gpu, kernels, work, lists, bounds, reference, energy, size, make_cells };
+        device.look_again(scene)?;
         Ok(device)
+    }
+
+    /// Finds the energy and the bounds anew from the lists.
+    fn look_again(&mut self, scene: &Scene) -> Result<(), RenderError> {
+        self.energy = 0;
+        for view in 0..scene.n_views() {
+            let fronts = self.fronts(view)?;
+            self.energy += squared_difference(&self.reference.pictures[view], &fronts);
+            self.refresh_bounds(view, &fronts);
+        }
+        Ok(())
     }
 
     /// A view's front fragments, row by row: z << 16 | luminance << 8 | reference.
@@ -109,7 +132,7 @@ impl Device {
     }
 
     /// Packs moves for judging, in parallel; the order of the items means nothing.
-    fn pack(&self, scene: &Scene, moves: &[Move]) -> Packed {
+    fn pack(&self, scene: &Scene, moves: &[Move], max_cells: u32) -> Packed {
         let pack = |packer: &mut Packer, (first, moves): (usize, &[Move])| {
             let mut out = Packed::default();
             for (owner, mv) in (first as u32..).zip(moves) {
@@ -120,22 +143,31 @@ impl Device {
         };
         const CHUNK: usize = 8;
         if moves.len() <= CHUNK {
-            return pack(&mut Packer::default(), (0, moves));
+            return pack(&mut Packer::new(max_cells), (0, moves));
         }
         let parts: Vec<Packed> = moves
             .par_chunks(CHUNK)
             .enumerate()
-            .map_init(Packer::default, |packer, (k, chunk)| pack(packer, (k * CHUNK, chunk)))
+            .map_init(
+                || Packer::new(max_cells),
+                |packer, (k, chunk)| pack(packer, (k * CHUNK, chunk)),
+            )
             .collect();
         let mut all = Packed::default();
         parts.iter().for_each(|part| all.append(part));
         all
     }
 
-    /// Judges at most [`BATCH`] moves with one submission.
-    fn judge(&mut self, scene: &Scene, moves: &[Move]) -> Result<Vec<i64>, RenderError> {
+    /// Judges at most [`BATCH`] moves with one submission, in items of at most so many cells, and
+    /// again in smaller ones those moves whose items the driver cut off.
+    fn judge(
+        &mut self,
+        scene: &Scene,
+        moves: &[Move],
+        max_cells: u32,
+    ) -> Result<Vec<i64>, RenderError> {
         let mut deltas = vec![0; moves.len()];
-        let packed = self.pack(scene, moves);
+        let packed = self.pack(scene, moves, max_cells);
         if packed.items.is_empty() {
             return Ok(deltas);
         }
@@ -145,11 +177,28 @@ impl Device {
         self.work.write(&self.gpu, &self.kernels, &mut words, order.items.len())?;
         let mut encoder = encoder(&self.gpu);
         self.dispatch_judging(&mut encoder, &order);
+        let mut cut_off = BTreeSet::new();
         self.work.finish(&self.gpu, encoder, order.items.len(), None, |sums| {
             for (k, sum) in order.items.iter().zip(sums) {
-                deltas[packed.items[*k as usize].owner as usize] += i64::from(*sum as i32);
+                let owner = packed.items[*k as usize].owner as usize;
+                deltas[owner] += i64::from(*sum as i32);
+                if *sum == CUT_OFF {
+                    cut_off.insert(owner);
+                }
             }
         })?;
+        if cut_off.is_empty() {
+            return Ok(deltas);
+        }
+        if max_cells == 1 {
+            let text = "a move takes more steps than its driver allows; use the device `cpu`";
+            return Err(RenderError::Device(text.into()));
+        }
+        let again: Vec<Move> = cut_off.iter().map(|owner| moves[*owner].clone()).collect();
+        let found = self.judge(scene, &again, (max_cells / CUT_TO).max(1))?;
+        for (owner, delta) in cut_off.into_iter().zip(found) {
+            deltas[owner] = delta;
+        }
         Ok(deltas)
     }
 
@@ -169,9 +218,9 @@ impl Device {
     }
 
     /// Judges a move and brings the lists and depth bounds up to date with it, with one
-    /// submission. Returns the change of energy and what the kernels counted.
-    fn make(&mut self, scene: &Scene, mv: &Move) -> Result<(i64, Counters), RenderError> {
-        let mut packer = Packer::default();
+    /// submission.
+    fn make(&mut self, scene: &Scene, mv: &Move) -> Result<Made, RenderError> {
+        let mut packer = Packer::new(self.make_cells);
         let mut packed = Packed::default();
         packer.pack(scene, &self.bounds, (0, mv), Purpose::Make, &mut packed);
         let order = Order::of(&packed.items);
@@ -197,7 +246,9 @@ impl Device {
                 bounds[*view].set(tile, *far);
             }
             let judged = sums[..order.n_judged()].iter();
-            (judged.map(|sum| i64::from(*sum as i32)).sum(), Counters::of(counters))
+            let whole = judged.clone().all(|sum| *sum != CUT_OFF);
+            let delta = judged.map(|sum| i64::from(*sum as i32)).sum();
+            Made { delta: whole.then_some(delta), used: Counters::of(counters) }
         })
     }
 
@@ -244,11 +295,7 @@ impl Device {
             reference: &self.reference,
         };
         self.lists = builder.build(used.pool_used.saturating_mul(2))?;
-        for view in 0..scene.n_views() {
-            let fronts = self.fronts(view)?;
-            self.refresh_bounds(view, &fronts);
-        }
-        Ok(())
+        self.look_again(scene)
     }
 }
 
@@ -260,7 +307,7 @@ impl Evaluator for Device {
     fn evaluate(&mut self, scene: &Scene, moves: &[Move]) -> Result<Vec<i64>, RenderError> {
         let mut deltas = Vec::with_capacity(moves.len());
         for batch in moves.chunks(BATCH) {
-            deltas.extend(self.judge(scene, batch)?);
+            deltas.extend(self.judge(scene, batch, BAND_CELLS)?);
         }
         Ok(deltas)
     }
@@ -270,14 +317,20 @@ impl Evaluator for Device {
         if n_slots > scene.faces.len() {
             scene.faces.resize(n_slots, None);
         }
-        let (delta, used) = self.make(scene, mv)?;
+        let Made { delta, used } = self.make(scene, mv)?;
         used.check_depth()?;
         scene.apply(mv);
-        if used.pool_short != 0 {
-            self.rebuild(scene, &used)?;
+        let is_cut_off = used.cut_off != 0 || delta.is_none();
+        if is_cut_off {
+            self.make_cells = (self.make_cells / CUT_TO).max(1);
         }
-        self.energy = self.energy.saturating_add_signed(delta);
-        Ok(delta)
+        let before = self.energy;
+        if is_cut_off || used.pool_short != 0 {
+            self.rebuild(scene, &used)?;
+        } else {
+            self.energy = before.saturating_add_signed(delta.unwrap_or(0));
+        }
+        Ok(delta.unwrap_or(self.energy as i64 - before as i64))
     }
 
     fn energy(&self) -> u64 {
@@ -356,5 +409,7 @@ fn squared_difference(reference: &[u8], fronts: &[u32]) -> u64 {
         .sum()
 }
 
+#[cfg(test)]
+mod stress;
 #[cfg(test)]
 mod tests;

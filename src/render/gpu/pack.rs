@@ -86,10 +86,11 @@ impl Packed {
 }
 
 /// Working memory for packing.
-#[derive(Default)]
 pub(super) struct Packer {
     pub(super) projected: Projected,
     added: Vec<Added>,
+    /// Cells of an item, at most.
+    max_cells: u32,
 }
 
 /// A triangle that comes, in one view.
@@ -110,6 +111,12 @@ pub(super) enum Purpose {
 }
 
 impl Packer {
+    /// Items of at most so many cells, and no more than [`BAND_CELLS`].
+    pub(super) fn new(max_cells: u32) -> Self {
+        let max_cells = max_cells.clamp(1, BAND_CELLS);
+        Self { projected: Projected::default(), added: Vec::new(), max_cells }
+    }
+
     /// Packs a move in every view where it may matter.
     pub(super) fn pack(
         &mut self,
@@ -129,7 +136,7 @@ impl Packer {
             }
             let removed = *removed.get_or_insert_with(|| pack_ids(&mv.removed, &mut out.data));
             self.set_up(scene, mv, view);
-            for block in blocks(&rect) {
+            for block in blocks(&rect, self.max_cells) {
                 let is_hidden = hides(&block);
                 if !is_hidden || purpose == Purpose::Make {
                     let mut item = self.item(&block, &mut out.data);
@@ -217,11 +224,11 @@ pub(super) fn triangle(
     (words, area2 < 0)
 }
 
-/// Cuts a rectangle into blocks of at most [`BAND_CELLS`] cells, as few and as square as can be.
-fn blocks(rect: &PixelRect) -> impl Iterator<Item = PixelRect> + use<> {
+/// Cuts a rectangle into blocks of at most so many cells, as few and as square as can be.
+fn blocks(rect: &PixelRect, max_cells: u32) -> impl Iterator<Item = PixelRect> + use<> {
     let rect = *rect;
     let (mut width, mut height) = ((rect.x1 - rect.x0) / 2 + 1, (rect.y1 - rect.y0) / 2 + 1);
-    while width * height > BAND_CELLS as i32 {
+    while width * height > max_cells as i32 {
         let longer = if width > height { &mut width } else { &mut height };
         *longer = (*longer + 1) / 2;
     }

@@ -20,7 +20,7 @@ use super::{
 };
 
 /// The first usable adapter; says so when there is none.
-fn open() -> Option<Gpu> {
+pub(super) fn open() -> Option<Gpu> {
     let adapter = device::enumerate().into_iter().find(|a| device::describe(a).unfit.is_none());
     if adapter.is_none() {
         eprintln!("skipped: no Vulkan adapter");
@@ -53,7 +53,7 @@ fn the_first_picture_is_the_rasters() {
 }
 
 /// A seeded sequence of moves of the scene as it is now.
-fn random_moves(scene: &Scene, rng: &mut TestRng, n: usize) -> Vec<Move> {
+pub(super) fn random_moves(scene: &Scene, rng: &mut TestRng, n: usize) -> Vec<Move> {
     let mut moves = Vec::new();
     for _ in 0..4 * n {
         let pick = (rng.next_u32() as usize, rng.next_u32() as usize);

@@ -31,4 +31,7 @@ fn append(
             }
         }
     }
+    if was_cut_off() {
+        atomicStore(&counters.cut_off, 1u);
+    }
 }

@@ -11,6 +11,8 @@ const NIL: u32 = 0xffffffffu;
 const NO_FACE: u32 = 0xfffffffeu;
 const OUTSIDE: u32 = 0xffffffffu;
 const WORKGROUP: u32 = 64u;
+// The result of an item whose loops were cut off; no sum of 256 squares is so low.
+const CUT_OFF: u32 = 0x80000000u;
 // log2 of the input's width in words.
 const INPUT_WIDTH_BITS: u32 = 10u;
 
@@ -40,6 +42,18 @@ fn word(at: u32) -> vec4<u32> {
 // The item of this invocation; n_items or more when there is none.
 fn item_index(id: vec3<u32>, n_groups: vec3<u32>) -> u32 {
     return id.x + id.y * n_groups.x * WORKGROUP;
+}
+
+// Whether the driver ended loops of this invocation early: lavapipe grants all the loops of an
+// invocation (and of those that share its vector) 65,535 rounds together, and then says nothing but
+// ends each after one. So a last loop tells; the compiler must not know how many rounds it takes.
+fn was_cut_off() -> bool {
+    let n_wanted = 3u + (params.n_pool >> 31u);
+    var n_made = 0u;
+    for (var k = 0u; k < n_wanted; k += 1u) {
+        n_made += 1u;
+    }
+    return n_made != n_wanted;
 }
 
 // A triangle: edge functions and planes as (at_origin, dx, dy), and the pixels it may cover.

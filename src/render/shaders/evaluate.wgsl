@@ -95,5 +95,5 @@ fn evaluate(
         }
     }
     let all = sum.x + sum.y + sum.z + sum.w + change_of_rest(item, put_off);
-    output[params.output_at + index] = bitcast<u32>(all);
+    output[params.output_at + index] = select(bitcast<u32>(all), CUT_OFF, was_cut_off());
 }

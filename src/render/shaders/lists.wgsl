@@ -17,9 +17,11 @@ struct Counters {
     nodes_used: atomic<u32>,
     pool_short: atomic<u32>,
     too_deep: atomic<u32>,
+    cut_off: atomic<u32>,
+    unsorted: atomic<u32>,
 }
 
-const MAX_DEPTH: u32 = 60000u;
+const MAX_DEPTH: u32 = 4096u;
 
 struct Pixel {
     at: vec2<i32>,
@@ -114,8 +116,8 @@ fn extend(p: Pixel, last: u32) -> u32 {
     return index + 4u;
 }
 
-// Enters a fragment into a list of any length.
-fn insert(p: Pixel, face: u32, fragment: u32) {
+// Enters a fragment into a list of any length; how many places it looked at.
+fn insert(p: Pixel, face: u32, fragment: u32) -> u32 {
     var carry = vec2<u32>(face, fragment);
     var place = 0u;
     var depth = 0u;
@@ -143,4 +145,5 @@ fn insert(p: Pixel, face: u32, fragment: u32) {
             break;
         }
     }
+    return depth;
 }

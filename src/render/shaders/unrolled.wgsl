@@ -150,5 +150,5 @@ fn evaluate(
         rest |= select(vec2<u32>(bit, 0u), vec2<u32>(0u, bit), k > 31u);
     }
     let all = sum.x + sum.y + sum.z + sum.w + change_of_rest(item, rest);
-    output[params.output_at + index] = bitcast<u32>(all);
+    output[params.output_at + index] = select(bitcast<u32>(all), CUT_OFF, was_cut_off());
 }

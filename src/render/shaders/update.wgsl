@@ -98,7 +98,7 @@ fn enter_triangle(item: Item, at: u32) {
             // Where the loop above filled the list up, the triangle is among the four.
             let is_new = all(four.face != vec4<u32>(t.face));
             if covers(t, i, j) && is_full(four) && is_new {
-                insert(p, t.face, fragment_of(t, at, i, j));
+                _ = insert(p, t.face, fragment_of(t, at, i, j));
             }
         }
     }
@@ -117,5 +117,8 @@ fn update(
     take_out_all(item);
     for (var k = 0u; k < item.n_added; k += 1u) {
         enter_triangle(item, item.added_at + 3u * k);
+    }
+    if was_cut_off() {
+        atomicStore(&counters.cut_off, 1u);
     }
 }
