@@ -67,7 +67,8 @@ pub(crate) fn run(args: &CompareArgs) -> Result<(), Failure> {
         show::print(&compare::report_text(&comparison));
     }
     if let Some(path) = &args.sheet {
-        let sheet_params = SheetParams { look, ..SheetParams::default() };
+        let mut sheet_params = SheetParams::default();
+        (sheet_params.look.shading, sheet_params.look.appearance) = (look.shading, look.appearance);
         write_file(path, &compare::sheet(&original, &simplified, &sheet_params))?;
     }
     Ok(())

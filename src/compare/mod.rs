@@ -15,4 +15,4 @@ pub use evaluate::{Comparison, Params, Reference, compare, report_text};
 pub use plot::{CurvePoint, PlotParams, PlotX, energy_plot};
 pub use raster::{Appearance, Look, Shading};
 pub use sample::sample_mesh;
-pub use sheet::{Axis, SheetParams, SheetView, all_round_views, sheet, sheet_multi};
+pub use sheet::{Axis, SheetParams, SheetView, all_round_views, sheet, sheet_multi, sheets};

@@ -180,11 +180,11 @@ fn write_pictures(
     original: &Mesh,
     levels: &Levels,
 ) -> Result<(), PipelineError> {
-    for (i, level) in levels.in_order().enumerate() {
-        let png = compare::sheet(original, &level.mesh, &compare::SheetParams::default());
-        out.write(&format!("contact-{i}.png"), "image/png", &png)?;
-    }
     let chain: Vec<&Mesh> = levels.in_order().map(|l| &l.mesh).collect();
+    let sheets = compare::sheets(original, &chain, &compare::SheetParams::default());
+    for (i, png) in sheets.iter().enumerate() {
+        out.write(&format!("contact-{i}.png"), "image/png", png)?;
+    }
     let png =
         compare::sheet_multi(original, &chain, &compare::SheetParams::chain(compare::Axis::Y));
     out.write("levels.png", "image/png", &png)
