@@ -4,7 +4,7 @@ use clap::{
     Args,
     builder::{PossibleValuesParser, TypedValueParser},
 };
-use lookalike::jobs::spec::{Effort, Fault, Method, Projection, Render, Shading, Spec};
+use lookalike::jobs::spec::{Effort, Fault, Method, Projection, Render, Shading, Spec, Topology};
 use serde::de::DeserializeOwned;
 
 use super::exit::Failure;
@@ -21,6 +21,9 @@ pub(crate) struct JobArgs {
     /// How much work each collapse is worth.
     #[arg(long, default_value = "balanced", value_parser = word::<Effort>(&["fast", "balanced", "best"]))]
     effort: Effort,
+    /// Keep parts and holes, or let them go where a target asks for it.
+    #[arg(long, default_value = "preserve", value_parser = word::<Topology>(&["preserve", "free"]))]
+    topology: Topology,
     /// Number of views: 4, 6, 8, 12, 20 or 24.
     #[arg(long, default_value_t = 20, value_name = "N")]
     views: u32,
@@ -87,6 +90,7 @@ impl JobArgs {
             triangles: self.triangles,
             method: self.simplify,
             effort: self.effort,
+            topology: self.topology,
             start_factor: self.start_factor,
             lambda: self.lambda,
             render: Render {
@@ -163,10 +167,14 @@ mod tests {
 
     #[test]
     fn words_and_directions_are_read() {
-        let read = spec(&["--triangles=9", "--simplify=memoryless", "--view=-1,0,0.5"]).unwrap();
-        assert_eq!(read.method, Method::Memoryless);
+        let flags =
+            ["--triangles=9", "--simplify=memoryless", "--topology=free", "--view=-1,0,0.5"];
+        let read = spec(&flags).unwrap();
+        assert_eq!((read.method, read.topology), (Method::Memoryless, Topology::Free));
         assert_eq!(read.render.custom_views, [[-1.0, 0.0, 0.5]]);
-        for bad in ["--simplify=magic", "--view=1,2", "--view=a,b,c", "--triangles=-1"] {
+        for bad in
+            ["--simplify=magic", "--topology=bound", "--view=1,2", "--view=a,b,c", "--triangles=-1"]
+        {
             assert!(Probe::try_parse_from(["probe", "--triangles=9", bad]).is_err(), "{bad}");
         }
     }

@@ -48,6 +48,18 @@ pub enum Projection {
     Orthographic,
 }
 
+/// Whether the surface keeps its topology.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Topology {
+    /// Parts stay parts, holes stay holes: a level may end above its target where no collapse
+    /// keeps them.
+    #[default]
+    Preserve,
+    /// Any edge may go: handles close, small parts vanish, targets are reached.
+    Free,
+}
+
 /// Run-time pictures: views, size, light.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -103,6 +115,9 @@ pub struct Spec {
     /// How hard to try.
     #[serde(default)]
     pub effort: Effort,
+    /// Whether collapses must keep the topology.
+    #[serde(default)]
+    pub topology: Topology,
     /// The image-driven stage starts at this multiple of the largest target.
     #[serde(default = "default_start_factor")]
     pub start_factor: f64,
@@ -137,6 +152,7 @@ impl Spec {
             triangles,
             method: Method::default(),
             effort: Effort::default(),
+            topology: Topology::default(),
             start_factor: default_start_factor(),
             lambda: default_lambda(),
             render: Render::default(),

@@ -13,7 +13,7 @@ use super::gather::Fan;
 use super::params::Params;
 use super::placement::{Placement, Scratch, placement_between, turns_too_far};
 use super::queue::{Entry, Queue};
-use crate::mesh::{Collapse, EdgeId, EdgeTable, EditMesh, Sample, Stage, Step, VertexId};
+use crate::mesh::{Collapse, EdgeId, EdgeTable, EditMesh, Sample, Stage, Step, Topology, VertexId};
 
 /// How many samples and progress reports a run gives, about.
 const N_REPORTS: usize = 200;
@@ -67,6 +67,15 @@ pub fn simplify(
         evaluations: run.evaluations,
         stopped_by,
     }
+}
+
+/// Whether the topology switch lets the edge (a, b) go, and some triangle would be left: a level of
+/// detail of nothing helps nobody.
+pub fn may_collapse(mesh: &EditMesh, a: VertexId, b: VertexId, topology: Topology) -> bool {
+    // A legal collapse always leaves some.
+    let leaves_some =
+        || topology == Topology::Preserve || mesh.edge_faces(a, b).len() < mesh.n_faces();
+    mesh.may_collapse(a, b, topology) && leaves_some()
 }
 
 /// The state of a run.
@@ -197,7 +206,7 @@ impl<'a> Run<'a> {
 
     fn may_collapse(&self, edge: EdgeId, to: DVec3) -> bool {
         let [a, b] = self.edges.ends(edge);
-        self.mesh.may_collapse(a, b, self.params.topology)
+        may_collapse(self.mesh, a, b, self.params.topology)
             && !turns_too_far(self.mesh, [a, b], to, self.min_cos)
     }
 

@@ -21,6 +21,6 @@ mod queue;
 #[cfg(test)]
 mod tests;
 
-pub use driver::{Outcome, StoppedBy, simplify};
+pub use driver::{Outcome, StoppedBy, may_collapse, simplify};
 pub use params::{Params, Scheme, Start};
 pub use placement::{Placement, Scratch, placement, turns_too_far};

@@ -204,8 +204,8 @@ fn it_stops_and_says_so_when_nothing_is_left_to_collapse() {
     assert_eq!((sphere.n_faces(), outcome.reached), (4, false));
     assert_eq!(outcome.stopped_by, StoppedBy::NoLegalCollapse);
     let free = Params { topology: Topology::Free, max_turn_degrees: 180.0, ..Params::default() };
-    let (nothing, outcome) = run(&shapes::sphere(3), 0, &free);
-    assert_eq!((nothing.n_faces(), outcome.stopped_by), (0, StoppedBy::Target));
+    let (pair, outcome) = run(&shapes::sphere(3), 0, &free);
+    assert_eq!((pair.n_faces(), outcome.stopped_by), (2, StoppedBy::NoLegalCollapse));
     let (same, outcome) = run(&shapes::sphere(1), 1000, &Params::default());
     assert_eq!((same.snapshot(), outcome.collapses), (shapes::sphere(1), 0));
 }

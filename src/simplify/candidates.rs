@@ -51,7 +51,7 @@ impl Collector {
         out: &mut Vec<Candidate>,
     ) {
         let [a, b] = edges.ends(edge);
-        if !mesh.may_collapse(a, b, rules.topology) {
+        if !memoryless::may_collapse(mesh, a, b, rules.topology) {
             return;
         }
         for to in self.places(mesh, rules, a, b) {

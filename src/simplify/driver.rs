@@ -5,6 +5,7 @@ use std::ops::ControlFlow;
 use glam::DVec3;
 
 use crate::{
+    memoryless::may_collapse,
     mesh::{EdgeId, EdgeTable, EditMesh, Sample, Stage, Step, VertexId},
     metric::Objective,
     render::{Move, RenderError},
@@ -178,7 +179,7 @@ impl<'a> Simplifier<'a> {
     fn next_edge(&mut self) -> Result<Option<EdgeId>, SimplifyError> {
         while let Some((edge, is_fresh)) = self.queue.first() {
             let [a, b] = self.edges.ends(edge);
-            if is_fresh && self.mesh.may_collapse(a, b, self.params.rules.topology) {
+            if is_fresh && may_collapse(self.mesh, a, b, self.params.rules.topology) {
                 return Ok(Some(edge));
             }
             if is_fresh {

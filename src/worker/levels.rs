@@ -20,7 +20,7 @@ pub enum StoppedBy {
     Input,
     /// The target is reached.
     Triangles,
-    /// No collapse that keeps the topology is left.
+    /// No collapse is left that keeps the topology (or, where it is free, any triangle).
     NoLegalCollapse,
     /// The budget of evaluations is spent.
     Evaluations,

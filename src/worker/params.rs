@@ -3,7 +3,7 @@
 use glam::DVec3;
 
 use crate::{
-    jobs::spec::{Effort, Projection, Shading, Spec},
+    jobs::spec::{self, Effort, Projection, Shading, Spec},
     memoryless,
     mesh::{EditMesh, Mesh, Topology},
     metric::{Objective, Pictures, bounding_sphere, reference_pictures, scene_of_edit_mesh},
@@ -21,7 +21,19 @@ use super::{
 
 /// Memoryless parameters.
 pub fn memoryless(spec: &Spec) -> memoryless::Params {
-    memoryless::Params { lambda: spec.lambda, seed: spec.seed, ..memoryless::Params::default() }
+    memoryless::Params {
+        lambda: spec.lambda,
+        topology: topology(spec),
+        seed: spec.seed,
+        ..memoryless::Params::default()
+    }
+}
+
+fn topology(spec: &Spec) -> Topology {
+    match spec.topology {
+        spec::Topology::Preserve => Topology::Preserve,
+        spec::Topology::Free => Topology::Free,
+    }
 }
 
 /// Edges judged at once when the queue needs fresh keys (spec: evaluator.md, speculation table).
@@ -36,7 +48,7 @@ pub fn image(spec: &Spec) -> simplify::Params {
     };
     simplify::Params {
         policy,
-        rules: Rules { placements, topology: Topology::Preserve, memoryless: memoryless(spec) },
+        rules: Rules { placements, topology: topology(spec), memoryless: memoryless(spec) },
         batch: BATCH,
         search_rounds,
         max_evaluations: spec.max_evaluations,

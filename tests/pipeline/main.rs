@@ -7,7 +7,9 @@
     reason = "a test fails by panicking"
 )]
 
+mod agreement;
 mod bad_input;
 mod determinism;
 mod quality;
 mod support;
+mod topology;

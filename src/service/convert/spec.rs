@@ -1,7 +1,7 @@
 //! The specification of a job, to and from the wire.
 
 use super::v1;
-use crate::jobs::spec::{Effort, Fault, Method, Projection, Render, Shading, Spec};
+use crate::jobs::spec::{Effort, Fault, Method, Projection, Render, Shading, Spec, Topology};
 
 const METHODS: [(v1::Method, Method); 2] =
     [(v1::Method::Image, Method::Image), (v1::Method::Memoryless, Method::Memoryless)];
@@ -11,6 +11,9 @@ const EFFORTS: [(v1::Effort, Effort); 3] = [
     (v1::Effort::Balanced, Effort::Balanced),
     (v1::Effort::Best, Effort::Best),
 ];
+
+const TOPOLOGIES: [(v1::Topology, Topology); 2] =
+    [(v1::Topology::Preserve, Topology::Preserve), (v1::Topology::Free, Topology::Free)];
 
 const SHADINGS: [(v1::Shading, Shading); 2] =
     [(v1::Shading::Flat, Shading::Flat), (v1::Shading::Smooth, Shading::Smooth)];
@@ -36,6 +39,7 @@ pub fn spec_to_wire(spec: &Spec) -> v1::JobSpec {
         triangles: spec.triangles.clone(),
         method: to_wire(&METHODS, spec.method),
         effort: to_wire(&EFFORTS, spec.effort),
+        topology: to_wire(&TOPOLOGIES, spec.topology),
         start_factor: Some(spec.start_factor),
         surface_weight: Some(spec.lambda),
         render: Some(render_to_wire(&spec.render)),
@@ -74,6 +78,7 @@ pub fn spec_from_wire(wire: Option<v1::JobSpec>) -> (Spec, Vec<Fault>) {
     let spec = Spec {
         method: from_wire(&METHODS, wire.method, "method", &mut faults),
         effort: from_wire(&EFFORTS, wire.effort, "effort", &mut faults),
+        topology: from_wire(&TOPOLOGIES, wire.topology, "topology", &mut faults),
         start_factor: wire.start_factor.unwrap_or(default.start_factor),
         lambda: wire.surface_weight.unwrap_or(default.lambda),
         render: render_from_wire(&wire.render.unwrap_or_default(), &mut faults),
@@ -133,7 +138,8 @@ mod tests {
 
     fn spec() -> impl Strategy<Value = Spec> {
         let numbers = prop::array::uniform6(0.0..1e3f64);
-        let words = (pick(&METHODS), pick(&EFFORTS), pick(&SHADINGS), pick(&PROJECTIONS));
+        let looks = (pick(&SHADINGS), pick(&PROJECTIONS));
+        let words = (pick(&METHODS), pick(&EFFORTS), pick(&TOPOLOGIES), looks);
         let views = prop::collection::vec(prop::array::uniform3(-1.0..1.0f64), 0..3);
         let counts = (prop::collection::vec(any::<u32>(), 0..4), prop::array::uniform3(0..99u32));
         (numbers, words, views, counts, any::<u64>(), any::<u64>()).prop_map(
@@ -141,6 +147,7 @@ mod tests {
                 triangles,
                 method: words.0,
                 effort: words.1,
+                topology: words.2,
                 start_factor: x[0],
                 lambda: x[1],
                 render: Render {
@@ -148,11 +155,11 @@ mod tests {
                     custom_views,
                     image_size: n[1],
                     fov_degrees: x[2],
-                    projection: words.3,
+                    projection: words.3.1,
                     background: x[3],
                     ambient: x[4],
                     light_degrees: x[5],
-                    shading: words.2,
+                    shading: words.3.0,
                     interior_views: n[2],
                 },
                 max_evaluations,
@@ -182,9 +189,10 @@ mod tests {
         if let Some(v1::job_spec::Kind::Simplify(simplify)) = &mut wire.kind {
             simplify.method = 99;
             simplify.effort = -1;
+            simplify.topology = 3;
         }
         let fields: Vec<_> = spec_from_wire(Some(wire)).1.into_iter().map(|f| f.field).collect();
-        assert_eq!(fields, ["spec.method", "spec.effort"]);
+        assert_eq!(fields, ["spec.method", "spec.effort", "spec.topology"]);
         assert_eq!(spec_from_wire(None).1.len(), 1);
     }
 }
