@@ -5,7 +5,7 @@ use std::{path::PathBuf, time::Duration};
 use clap::Args;
 use lookalike::worker::{
     agent::{self, WorkerConfig, WorkerError},
-    pipeline::DeviceChoice,
+    pipeline::{self, DeviceChoice},
 };
 use tokio_util::sync::CancellationToken;
 
@@ -56,6 +56,7 @@ pub(crate) async fn run(args: WorkerArgs) -> Result<(), Failure> {
         url: args.connect,
         id,
         device: DeviceChoice(args.device),
+        pipeline: pipeline::run,
         scratch,
         lock: args.lock,
         supervised: args.supervised,

@@ -18,7 +18,7 @@ use tonic::Status;
 use super::{
     attempt::{self, Ended, Work},
     link::{Link, LinkError},
-    pipeline::DeviceChoice,
+    pipeline::{DeviceChoice, Pipeline},
 };
 use crate::service::{
     client::{Backoff, BadUrl, is_transient},
@@ -37,6 +37,8 @@ pub struct WorkerConfig {
     pub id: String,
     /// Which evaluator.
     pub device: DeviceChoice,
+    /// What runs the jobs.
+    pub pipeline: Pipeline,
     /// A folder for the files of the job at work; removed at the end.
     pub scratch: PathBuf,
     /// A file to hold locked as long as this process lives.
@@ -153,7 +155,7 @@ async fn work(
     remove(&config.scratch);
     let fault = |source| WorkerError::Io { path: config.scratch.clone(), source };
     fs::create_dir_all(&config.scratch).map_err(fault)?;
-    let ended = attempt::run(link, work, &config.device, &config.scratch, drain).await;
+    let ended = attempt::run(link, work, config, drain).await;
     remove(&config.scratch);
     match ended {
         Ok(Ended::Ready) => Ok(()),

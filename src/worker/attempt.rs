@@ -16,9 +16,10 @@ use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 
 use super::{
+    agent::WorkerConfig,
     link::{Link, LinkError},
     outbox::{AHEAD, Outbox},
-    pipeline::{self, DeviceChoice, PipelineError},
+    pipeline::{DeviceChoice, Pipeline, PipelineError},
 };
 use crate::{
     jobs::{event::Report, lease::Lease, spec::Spec, store::Outcome},
@@ -88,8 +89,7 @@ impl Work {
 pub async fn run(
     link: &Link,
     work: Work,
-    device: &DeviceChoice,
-    out_dir: &Path,
+    config: &WorkerConfig,
     drain: &CancellationToken,
 ) -> Result<Ended, LinkError> {
     let (stop, stopped) = watch::channel(None);
@@ -99,21 +99,22 @@ pub async fn run(
         input = link.fetch_mesh(&lease) => input?,
         lost = keep_alive(link, &lease, heartbeat, &stop, drain) => return Err(lost),
     };
-    let (folder, device) = (out_dir.to_owned(), device.clone());
-    let mut pipeline = tokio::task::spawn_blocking(move || {
-        guarded(&work, &input, &folder, &device, &send, &stopped)
+    let (folder, device, pipeline) =
+        (config.scratch.clone(), config.device.clone(), config.pipeline);
+    let mut running = tokio::task::spawn_blocking(move || {
+        guarded(pipeline, &work, &input, (&folder, &device), &send, &stopped)
     });
     let mut outbox = Outbox {
         link: link.clone(),
         lease: lease.clone(),
-        out_dir: out_dir.to_owned(),
+        out_dir: config.scratch.clone(),
         stop: stop.clone(),
         n_sent: 0,
         files: Vec::new(),
     };
     let finish = async {
         outbox.run(&mut reports).await?;
-        let result = (&mut pipeline).await.unwrap_or_else(|fault| Err(Fault::panic(&fault)));
+        let result = (&mut running).await.unwrap_or_else(|fault| Err(Fault::panic(&fault)));
         if result.is_ok() {
             outbox.store_rest().await?;
         }
@@ -136,8 +137,8 @@ pub async fn run(
             Stop::Abandon.raise(&stop);
             // Nobody reads on: whatever the pipeline still reports tells it to stop.
             drop(reports);
-            if !pipeline.is_finished() {
-                let _ = pipeline.await;
+            if !running.is_finished() {
+                let _ = running.await;
             }
             fail(link, &lease, error).await.map(|()| Ended::Ready)
         }
@@ -192,10 +193,10 @@ impl Fault {
 }
 
 fn guarded(
+    pipeline: Pipeline,
     work: &Work,
     input: &[u8],
-    out_dir: &Path,
-    device: &DeviceChoice,
+    (out_dir, device): (&Path, &DeviceChoice),
     reports: &mpsc::Sender<Report>,
     stopped: &watch::Receiver<Option<Stop>>,
 ) -> Result<(), Fault> {
@@ -207,7 +208,7 @@ fn guarded(
             ControlFlow::Break(())
         }
     };
-    let run = || pipeline::run(&work.spec, &work.file_name, input, out_dir, device, &mut on);
+    let run = || pipeline(&work.spec, &work.file_name, input, out_dir, device, &mut on);
     match catch_unwind(AssertUnwindSafe(run)) {
         Ok(result) => result.map_err(Fault::Pipeline),
         Err(payload) => Err(Fault::panic(&panic_text(payload.as_ref()))),

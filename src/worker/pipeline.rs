@@ -76,6 +76,16 @@ impl From<ProgressiveError> for PipelineError {
     }
 }
 
+/// What a worker runs: [`run`], or in its place what a test wants to happen.
+pub type Pipeline = fn(
+    &Spec,
+    &str,
+    &[u8],
+    &Path,
+    &DeviceChoice,
+    &mut dyn FnMut(Report) -> ControlFlow<()>,
+) -> Result<(), PipelineError>;
+
 /// Runs the whole job: reads `input` (the bytes of a model file; `name` gives the format by its
 /// extension), writes every artifact into `out_dir`, and tells `on` of each step. `Break` from `on`
 /// cancels.

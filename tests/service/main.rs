@@ -12,6 +12,7 @@
 mod api;
 mod command_line;
 mod lint;
+mod panics;
 mod processes;
 mod support;
 mod torture;
