@@ -5,6 +5,8 @@
 
 CARGO ?= cargo
 VENV := .venv
+# What the installed client is made of, the protos apart.
+CLIENT := $(wildcard clients/python/*.py clients/python/*.toml clients/python/src/lookalike/*)
 
 demo: build
 	deploy/demo.sh $(MODEL)
@@ -28,7 +30,7 @@ unit:
 python: $(VENV)/installed
 	LOOKALIKE_BIN=$(CURDIR)/target/release/lookalike $(VENV)/bin/python -m pytest -q clients/python/tests
 
-$(VENV)/installed: clients/python/pyproject.toml $(wildcard proto/lookalike/*/*.proto)
+$(VENV)/installed: $(CLIENT) $(wildcard proto/lookalike/*/*.proto)
 	deploy/setup.sh test
 	python3 -m venv $(VENV)
 	$(VENV)/bin/pip install -q './clients/python[test]'

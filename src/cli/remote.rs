@@ -149,12 +149,21 @@ impl Remote {
 
     /// The artifacts of a job.
     pub(crate) async fn artifacts(&self, name: &str) -> Result<Vec<v1::Artifact>, Failure> {
-        let request = v1::ListArtifactsRequest { parent: job_name(name) };
-        let answer = self.call(|mut client| {
-            let request = request.clone();
-            async move { client.list_artifacts(request).await }
-        });
-        Ok(answer.await?.artifacts)
+        let parent = job_name(name);
+        let mut request = v1::ListArtifactsRequest { parent, ..Default::default() };
+        let mut artifacts = Vec::new();
+        loop {
+            let asked = self.call(|mut client| {
+                let request = request.clone();
+                async move { client.list_artifacts(request).await }
+            });
+            let page = asked.await?;
+            artifacts.extend(page.artifacts);
+            if page.next_page_token.is_empty() {
+                return Ok(artifacts);
+            }
+            request.page_token = page.next_page_token;
+        }
     }
 
     /// Fetches an artifact into `folder`: under its name only when it is whole.

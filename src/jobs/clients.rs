@@ -133,11 +133,12 @@ impl Jobs {
         self.0.store.list(states, before, limit).await
     }
 
-    /// Cancels a queued job, or asks the worker of a running one to stop.
-    pub async fn cancel(&self, id: &str) -> Result<Job> {
-        let job = self.0.store.cancel(id).await?;
+    /// Cancels a queued job, or asks the worker of a running one to stop; says whether this call
+    /// ended the job.
+    pub async fn cancel(&self, id: &str) -> Result<(Job, bool)> {
+        let cancelled = self.0.store.cancel(id).await?;
         self.0.signals.log_grew(id);
-        Ok(job)
+        Ok(cancelled)
     }
 
     /// Deletes an ended job with its log and artifacts.

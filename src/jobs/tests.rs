@@ -216,14 +216,17 @@ async fn cancelled_jobs_keep_what_was_stored() {
     let dir = tempfile::tempdir().unwrap();
     let jobs = open(dir.path()).await;
     let queued = create(&jobs).await.id;
-    assert_eq!(jobs.cancel(&queued).await.unwrap().state, State::Cancelled);
-    assert_eq!(jobs.cancel(&queued).await.unwrap().state, State::Cancelled);
+    // Only the first call ends it.
+    for ends in [true, false] {
+        let (job, has_ended) = jobs.cancel(&queued).await.unwrap();
+        assert_eq!((job.state, has_ended), (State::Cancelled, ends));
+    }
     let id = create(&jobs).await.id;
     let (_, lease) = claim(&jobs, "w").await.unwrap();
     let unasked = jobs.complete(&lease, &Outcome::Cancelled).await;
     assert!(matches!(unasked, Err(Error::Illegal { .. })));
     put(&jobs, &lease, "lod-0.glb", b"whole").await.unwrap();
-    assert!(jobs.cancel(&id).await.unwrap().cancel_requested);
+    assert!(jobs.cancel(&id).await.unwrap().0.cancel_requested);
     assert!(jobs.append(&lease, 0, vec![note("x")]).await.unwrap().cancel_requested);
     assert!(jobs.heartbeat(&lease).await.unwrap());
     jobs.complete(&lease, &Outcome::Cancelled).await.unwrap();

@@ -1,6 +1,6 @@
 //! The public API: `lookalike.v1.LookalikeService`.
 
-use std::pin::Pin;
+use std::{pin::Pin, sync::Arc};
 
 use base64::{Engine, engine::general_purpose::URL_SAFE_NO_PAD};
 use futures::{Stream, StreamExt, TryStreamExt, stream};
@@ -8,7 +8,7 @@ use prost::bytes::Bytes;
 use tokio_util::sync::CancellationToken;
 use tonic::{Request, Response, Status, Streaming};
 
-use super::{convert, proto::v1, status, status::status_of, transfer};
+use super::{convert, observe::Observer, proto::v1, status, status::status_of, transfer};
 use crate::jobs::{
     Jobs,
     clients::{Announced, StoredMesh},
@@ -27,6 +27,8 @@ pub(super) struct Api {
     pub jobs: Jobs,
     /// Ends open streams.
     pub shutdown: CancellationToken,
+    /// Counts what happens.
+    pub observer: Arc<Observer>,
 }
 
 type BoxStream<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
@@ -89,7 +91,7 @@ impl v1::lookalike_service_server::LookalikeService for Api {
         let request = request.into_inner();
         let states = read_states(&request.states)?;
         let before = read_token(&request.page_token, &states)?;
-        let limit = if request.page_size == 0 { PAGE } else { request.page_size.min(MAX_PAGE) };
+        let limit = page_size(request.page_size, PAGE);
         // One more than asked for tells whether there is a next page.
         let found = self.jobs.list(&states, before, limit + 1).await;
         let mut jobs = found.map_err(|e| status_of(&e))?;
@@ -122,7 +124,10 @@ impl v1::lookalike_service_server::LookalikeService for Api {
         request: Request<v1::CancelJobRequest>,
     ) -> Result<Response<v1::CancelJobResponse>, Status> {
         let id = convert::job_id("name", &request.into_inner().name)?;
-        let job = self.jobs.cancel(&id).await.map_err(|e| status_of(&e))?;
+        let (job, has_ended) = self.jobs.cancel(&id).await.map_err(|e| status_of(&e))?;
+        if has_ended {
+            self.observer.ended(&job);
+        }
         tracing::info!(job = id, state = %job.state, "cancellation requested");
         Ok(Response::new(v1::CancelJobResponse { job: Some(convert::job_to_wire(&job)) }))
     }
@@ -145,10 +150,19 @@ impl v1::lookalike_service_server::LookalikeService for Api {
         &self,
         request: Request<v1::ListArtifactsRequest>,
     ) -> Result<Response<v1::ListArtifactsResponse>, Status> {
-        let id = convert::job_id("parent", &request.into_inner().parent)?;
+        let request = request.into_inner();
+        let id = convert::job_id("parent", &request.parent)?;
+        let after = read_file_token(&request.page_token)?;
+        let limit = page_size(request.page_size, MAX_PAGE);
         let artifacts = self.jobs.artifacts(&id).await.map_err(|e| status_of(&e))?;
-        let artifacts = artifacts.iter().map(|a| convert::artifact_to_wire(&id, a)).collect();
-        Ok(Response::new(v1::ListArtifactsResponse { artifacts }))
+        // By name, so that a page begins behind the last name of the one before.
+        let rest = &artifacts[artifacts.partition_point(|a| a.file <= after)..];
+        let page = rest.get(..limit as usize);
+        let last = page.and_then(<[_]>::last).filter(|a| rest.last() != Some(a));
+        let next_page_token = last.map(|a| URL_SAFE_NO_PAD.encode(&a.file)).unwrap_or_default();
+        let page = page.unwrap_or(rest).iter();
+        let artifacts = page.map(|a| convert::artifact_to_wire(&id, a)).collect();
+        Ok(Response::new(v1::ListArtifactsResponse { artifacts, next_page_token }))
     }
 
     type ReadArtifactStream = BoxStream<v1::ReadArtifactResponse>;
@@ -201,6 +215,17 @@ fn read_states(wire: &[i32]) -> Result<Vec<State>, Status> {
         convert::state_from_wire(state).ok_or_else(|| status::invalid("states", text(state)))
     };
     wire.iter().map(read).collect()
+}
+
+/// How many items a page may have.
+fn page_size(asked: u32, default: u32) -> u32 {
+    if asked == 0 { default } else { asked.min(MAX_PAGE) }
+}
+
+/// The last file name of the page before.
+fn read_file_token(token: &str) -> Result<String, Status> {
+    let name = URL_SAFE_NO_PAD.decode(token).ok().and_then(|bytes| String::from_utf8(bytes).ok());
+    name.ok_or_else(|| status::invalid("page_token", "not a token of this server: start over"))
 }
 
 /// Where the next page begins, and for which filter.

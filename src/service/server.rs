@@ -51,7 +51,8 @@ async fn run(
     observer: Arc<Observer>,
     shutdown: CancellationToken,
 ) -> Result<(), ServeError> {
-    let api = Api { jobs: jobs.clone(), shutdown: shutdown.clone() };
+    let api =
+        Api { jobs: jobs.clone(), shutdown: shutdown.clone(), observer: Arc::clone(&observer) };
     let worker_api = WorkerApi { jobs, shutdown: shutdown.clone(), observer };
     let (health, health_service) = tonic_health::server::health_reporter();
     health.set_serving::<LookalikeServiceServer<Api>>().await;

@@ -135,11 +135,14 @@ async fn jobs_are_cancelled_and_deleted() {
     let delete = v1::DeleteJobRequest { name: name.clone(), allow_missing: false };
     let early = client.delete_job(delete.clone()).await.unwrap_err();
     assert_eq!(reason_of(&early).as_deref(), Some("ILLEGAL_TRANSITION"));
+    // Twice, and counted once.
     for _ in 0..2 {
         let request = v1::CancelJobRequest { name: name.clone() };
         let cancelled = client.cancel_job(request).await.unwrap().into_inner().job.unwrap();
         assert_eq!(state(&cancelled), State::Cancelled);
     }
+    let page = http_get(&server.metrics, "/metrics");
+    assert!(page.contains("lookalike_ended_jobs_total{state=\"CANCELLED\"} 1"), "{page}");
     assert_eq!(log(&mut client, &name, 0).await.len(), 2);
     client.delete_job(delete.clone()).await.unwrap();
     let again = client.delete_job(delete.clone()).await.unwrap_err();
@@ -155,8 +158,23 @@ async fn artifacts_are_read_in_ranges() {
     let mut client = server.client();
     let name = create(&mut client).await;
     assert_eq!(state(&ended(&client, &name).await), State::Succeeded);
-    let request = v1::ListArtifactsRequest { parent: name.clone() };
-    let artifacts = client.list_artifacts(request).await.unwrap().into_inner().artifacts;
+    let mut request = v1::ListArtifactsRequest { parent: name.clone(), ..Default::default() };
+    let artifacts = client.list_artifacts(request.clone()).await.unwrap().into_inner().artifacts;
+    // The same a page at a time.
+    let mut paged = Vec::new();
+    request.page_size = 2;
+    loop {
+        let page = client.list_artifacts(request.clone()).await.unwrap().into_inner();
+        assert!((1..=2).contains(&page.artifacts.len()));
+        paged.extend(page.artifacts);
+        if page.next_page_token.is_empty() {
+            break;
+        }
+        request.page_token = page.next_page_token;
+    }
+    assert_eq!(paged, artifacts);
+    request.page_token = "@".into();
+    assert_eq!(client.list_artifacts(request).await.unwrap_err().code(), Code::InvalidArgument);
     let lod = artifacts.iter().find(|a| a.name.ends_with("/lod-0.glb")).unwrap();
     let read = async |offset, limit| {
         let request = v1::ReadArtifactRequest { name: lod.name.clone(), offset, limit };

@@ -81,7 +81,7 @@ async fn only_the_files_of_the_completing_attempt_are_visible() {
     worker.put_artifact(futures::stream::iter(artifact(&first, b"first"))).await.unwrap();
     let second = claim(&server, "second").await.lease.unwrap();
     worker.put_artifact(futures::stream::iter(artifact(&second, b"second"))).await.unwrap();
-    let list = v1::ListArtifactsRequest { parent: name };
+    let list = v1::ListArtifactsRequest { parent: name, ..Default::default() };
     let before = client.list_artifacts(list.clone()).await.unwrap().into_inner();
     assert_eq!(before.artifacts, []);
     let files = vec!["lod-0.glb".into()];

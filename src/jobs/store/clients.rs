@@ -113,12 +113,13 @@ impl Store {
         query.fetch_all(&self.readers).await?.iter().map(event_of).collect()
     }
 
-    /// Cancels a queued job, or asks the worker of a running one to stop.
-    pub async fn cancel(&self, id: &str) -> Result<Job> {
+    /// Cancels a queued job, or asks the worker of a running one to stop; says whether this call
+    /// ended the job.
+    pub async fn cancel(&self, id: &str) -> Result<(Job, bool)> {
         let mut tx = self.begin().await?;
         let mut job = find(&mut tx, id).await?;
         if job.state == State::Cancelled || job.cancel_requested {
-            return Ok(job);
+            return Ok((job, false));
         }
         let remedy = "only a job that waits or runs can be cancelled";
         let Some(state) = job.state.after(Trigger::Cancel) else {
@@ -140,7 +141,8 @@ impl Store {
             log(&mut tx, &mut job, now, &[entry]).await?;
         }
         tx.commit().await?;
-        Ok(job)
+        let has_ended = job.state.is_final();
+        Ok((job, has_ended))
     }
 
     /// Deletes an ended job, with its log and the list of its artifacts.

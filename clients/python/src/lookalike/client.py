@@ -171,7 +171,13 @@ class Client:
     def artifacts(self, job: str) -> list[job_pb2.Artifact]:
         """The files of a job that has ended, by name; empty before."""
         request = api.ListArtifactsRequest(parent=_job_name(job))
-        return list(self._call(lambda: self._stub.ListArtifacts(request)).artifacts)
+        files: list[job_pb2.Artifact] = []
+        while True:
+            page = self._call(lambda: self._stub.ListArtifacts(request))
+            files.extend(page.artifacts)
+            if not page.next_page_token:
+                return files
+            request.page_token = page.next_page_token
 
     def read(self, artifact: job_pb2.Artifact) -> bytes:
         """The bytes of a file."""
