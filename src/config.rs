@@ -39,6 +39,9 @@ pub(crate) struct ServeArgs {
     /// Largest mesh file, in MiB.
     #[arg(long, env = "LOOKALIKE_MAX_MESH_MIB", default_value_t = 4096, value_name = "MIB")]
     pub(crate) max_mesh_mib: u64,
+    /// Hours for which a mesh that no job names is kept; it is removed at the next start after that.
+    #[arg(long, env = "LOOKALIKE_KEEP_MESHES_HOURS", default_value_t = 168, value_name = "HOURS")]
+    pub(crate) keep_meshes_hours: u32,
     /// Seconds that workers and open calls get to end in peace.
     #[arg(long, env = "LOOKALIKE_DRAIN_SECS", default_value_t = 10.0, value_name = "SECS")]
     pub(crate) drain_secs: f64,
@@ -103,6 +106,7 @@ impl ServeArgs {
             limits: Limits {
                 max_mesh_bytes: self.max_mesh_mib.saturating_mul(1 << 20),
                 max_queued: self.max_queued,
+                keep_meshes: Duration::from_hours(self.keep_meshes_hours.into()),
                 ..Limits::default()
             },
             drain,

@@ -5,8 +5,13 @@
 //!
 //! Knows nothing of meshes.
 
+use std::{collections::BTreeMap, rc::Rc};
+
 use font8x8::UnicodeFonts;
-use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
+use image::{
+    ExtendedColorType, ImageEncoder,
+    codecs::png::{CompressionType, FilterType, PngEncoder},
+};
 
 /// Red, green and blue as displayed.
 pub(super) type Rgb = [u8; 3];
@@ -16,12 +21,15 @@ pub(super) struct Canvas {
     width: usize,
     height: usize,
     pixels: Vec<Rgb>,
+    /// The glyphs met so far, by their bitmaps.
+    outlines: BTreeMap<[u8; 8], Rc<[bool]>>,
 }
 
 impl Canvas {
     pub(super) fn new(width: usize, height: usize, colour: Rgb) -> Self {
         let (width, height) = (width.max(1), height.max(1));
-        Self { width, height, pixels: vec![colour; width * height] }
+        let pixels = vec![colour; width * height];
+        Self { width, height, pixels, outlines: BTreeMap::new() }
     }
 
     /// Sets one pixel; outside the page nothing happens.
@@ -51,10 +59,12 @@ impl Canvas {
     }
 
     fn glyph(&mut self, left: f64, top: usize, height: usize, colour: Rgb, glyph: &Glyph) {
-        let outline = glyph.outline();
+        let outline = self.outlines.entry(glyph.rows).or_insert_with(|| glyph.outline().into());
+        let outline = Rc::clone(outline);
         let first = left.floor();
+        let width = (glyph.columns as usize * height).div_ceil(8);
         for y in 0..height {
-            for x in 0..=height {
+            for x in 0..=width {
                 let ink = coverage(&outline, height, first - left + x as f64, y as f64);
                 self.blend(first as usize + x, top + y, colour, ink);
             }
@@ -75,12 +85,11 @@ impl Canvas {
         let mut bytes = Vec::new();
         let (width, height) = (self.width as u32, self.height as u32);
         // Encoding into memory fails only for a picture without pixels, which no canvas is.
-        let encoded = PngEncoder::new(&mut bytes).write_image(
-            self.pixels.as_flattened(),
-            width,
-            height,
-            ExtendedColorType::Rgb8,
-        );
+        // One filter for all rows: trying each on every row costs more than drawing the page.
+        let (compression, filter) = (CompressionType::Fast, FilterType::Up);
+        let encoder = PngEncoder::new_with_quality(&mut bytes, compression, filter);
+        let encoded =
+            encoder.write_image(self.pixels.as_flattened(), width, height, ExtendedColorType::Rgb8);
         debug_assert!(encoded.is_ok(), "{encoded:?}");
         bytes
     }

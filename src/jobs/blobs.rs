@@ -128,6 +128,17 @@ impl Blobs {
         sync_dir(folder)
     }
 
+    /// Removes the file of a mesh.
+    pub fn remove_mesh(&self, hash: &str) -> Result<()> {
+        let path = self.mesh(hash);
+        match fs::remove_file(&path) {
+            Err(source) if source.kind() != io::ErrorKind::NotFound => {
+                Err(Error::Io { path, source })
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// Removes every file of a job.
     pub fn remove_job(&self, job: &str) -> Result<()> {
         remove_dir(&self.job(job))

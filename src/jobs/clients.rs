@@ -55,6 +55,15 @@ impl Jobs {
         Ok(size.map(|size| StoredMesh { hash: hash.into(), size, existed: true }))
     }
 
+    /// [`Self::find_mesh`] for a client that means to use it: it counts as uploaded now.
+    pub async fn reuse_mesh(&self, hash: &str) -> Result<Option<StoredMesh>> {
+        let known = self.find_mesh(hash).await?;
+        if known.is_some() {
+            self.0.store.touch_mesh(hash).await?;
+        }
+        Ok(known)
+    }
+
     /// Stores the bytes that arrive on `chunks` until it closes.
     pub async fn put_mesh(
         &self,

@@ -33,6 +33,7 @@ use std::{
     fs::{self, File, TryLockError},
     path::{Path, PathBuf},
     sync::Arc,
+    time::Duration,
 };
 
 use self::{
@@ -52,11 +53,18 @@ pub struct Limits {
     pub max_artifact_bytes: u64,
     /// Jobs that may wait at once.
     pub max_queued: u64,
+    /// Meshes that no job names are removed at a start when nobody asked for them in so long.
+    pub keep_meshes: Duration,
 }
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { max_mesh_bytes: 4 << 30, max_artifact_bytes: 4 << 30, max_queued: 100_000 }
+        Self {
+            max_mesh_bytes: 4 << 30,
+            max_artifact_bytes: 4 << 30,
+            max_queued: 100_000,
+            keep_meshes: Duration::from_hours(7 * 24),
+        }
     }
 }
 
@@ -160,8 +168,12 @@ impl Jobs {
         Ok(())
     }
 
-    /// Removes the files of jobs that are no more.
+    /// Removes the files of jobs that are no more, and meshes that nobody wants. Only at a start,
+    /// when no upload can be under way.
     async fn sweep_orphans(&self) -> Result<()> {
+        for hash in self.0.store.forget_meshes(self.0.limits.keep_meshes).await? {
+            self.0.blobs.remove_mesh(&hash)?;
+        }
         for id in self.0.blobs.jobs()? {
             if !self.0.store.exists(&id).await? {
                 self.0.blobs.remove_job(&id)?;

@@ -44,7 +44,7 @@ impl v1::lookalike_service_server::LookalikeService for Api {
         let Some(v1::upload_mesh_request::Part::Header(header)) = first else {
             return Err(status::invalid("part", "the first message must be the header"));
         };
-        let known = self.jobs.find_mesh(&header.blake3).await.map_err(|e| status_of(&e))?;
+        let known = self.jobs.reuse_mesh(&header.blake3).await.map_err(|e| status_of(&e))?;
         let mesh = if let Some(mesh) = known {
             mesh
         } else {

@@ -11,21 +11,21 @@ use super::support::{Done, job, real_model};
 /// Octahedra beside one another: twenty parts of eight triangles, each of which can shrink to four
 /// and no further.
 fn octahedra() -> Vec<u8> {
-    let mut obj = String::new();
+    let mut obj = Vec::new();
     for part in 0..20 {
         let (x, y) = (f64::from(part % 5) * 3.0, f64::from(part / 5) * 3.0);
         for [dx, dy, dz] in [[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]] {
             let size = 1.0 - 0.03 * f64::from(part);
             let (dx, dy, dz) = (size * f64::from(dx), size * f64::from(dy), size * f64::from(dz));
-            obj += &format!("v {} {} {dz}\n", x + dx, y + dy);
+            obj.push(format!("v {} {} {dz}", x + dx, y + dy));
         }
         for k in 0..4 {
             let (a, b, first) = (k + 1, (k + 1) % 4 + 1, 6 * part);
-            obj += &format!("f {0} {1} {2}\n", first + a, first + b, first + 5);
-            obj += &format!("f {1} {0} {2}\n", first + a, first + b, first + 6);
+            obj.push(format!("f {} {} {}", first + a, first + b, first + 5));
+            obj.push(format!("f {} {} {}", first + b, first + a, first + 6));
         }
     }
-    obj.into_bytes()
+    obj.join("\n").into_bytes()
 }
 
 fn with(topology: Topology, method: Method, triangles: Vec<u32>) -> Spec {

@@ -1,6 +1,8 @@
 //! What clients ask of the database: meshes, jobs, logs, artifacts.
 
-use sqlx::{QueryBuilder, Row, Sqlite};
+use std::time::Duration;
+
+use sqlx::{QueryBuilder, Row, Sqlite, Transaction};
 
 use super::{Artifact, Job, State, Store, StoredEvent, event_of, find, job_of, log, now_ms};
 use super::{state_entry, stored};
@@ -28,10 +30,35 @@ impl Store {
     pub async fn add_mesh(&self, hash: &str, size: u64) -> Result<bool> {
         let mut tx = self.begin().await?;
         let now = now_ms(&mut tx).await?;
+        let touched = touch_mesh(&mut tx, hash, now).await?;
         let insert = sqlx::query("INSERT INTO meshes VALUES (?, ?, ?) ON CONFLICT DO NOTHING");
         let done = insert.bind(hash).bind(size as i64).bind(now).execute(&mut *tx).await?;
         tx.commit().await?;
-        Ok(done.rows_affected() == 1)
+        Ok(!touched && done.rows_affected() == 1)
+    }
+
+    /// Notes that a client asked for a stored mesh; false when there is none.
+    pub async fn touch_mesh(&self, hash: &str) -> Result<bool> {
+        let mut tx = self.begin().await?;
+        let now = now_ms(&mut tx).await?;
+        let found = touch_mesh(&mut tx, hash, now).await?;
+        tx.commit().await?;
+        Ok(found)
+    }
+
+    /// Forgets the meshes that no job names and that nobody uploaded or asked for in so long; their
+    /// hashes.
+    pub async fn forget_meshes(&self, unused_for: Duration) -> Result<Vec<String>> {
+        let mut tx = self.begin().await?;
+        let age_ms = i64::try_from(unused_for.as_millis()).unwrap_or(i64::MAX);
+        let before = now_ms(&mut tx).await?.saturating_sub(age_ms);
+        let delete = "DELETE FROM meshes WHERE created_ms <= ? \
+                      AND NOT EXISTS (SELECT 1 FROM jobs WHERE jobs.mesh = meshes.hash) \
+                      RETURNING hash";
+        let delete = sqlx::query_scalar::<_, String>(delete).bind(before);
+        let hashes = delete.fetch_all(&mut *tx).await?;
+        tx.commit().await?;
+        Ok(hashes)
     }
 
     /// Size in bytes of a stored mesh.
@@ -184,6 +211,13 @@ impl Store {
         let query = sqlx::query_scalar::<_, i64>("SELECT count(*) FROM jobs WHERE id = ?");
         Ok(query.bind(id).fetch_one(&self.readers).await? == 1)
     }
+}
+
+/// Makes a mesh as young as if it were stored now; false when there is none.
+async fn touch_mesh(tx: &mut Transaction<'static, Sqlite>, hash: &str, now: i64) -> Result<bool> {
+    let update = sqlx::query("UPDATE meshes SET created_ms = ? WHERE hash = ?");
+    let done = update.bind(now).bind(hash).execute(&mut **tx).await?;
+    Ok(done.rows_affected() == 1)
 }
 
 /// The job an earlier request made, if this one asks for the same.
