@@ -185,7 +185,10 @@ fn is_file_name(name: &str) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
     use super::*;
+    use crate::jobs::{Limits, lease::Terms, spec::Spec};
 
     #[test]
     fn file_names_need_an_extension_and_no_folder() {
@@ -195,5 +198,38 @@ mod tests {
         for bad in ["", "bunny", "bunny.", "../x.ply", "a\\b.ply", "a\n.ply"] {
             assert!(!is_file_name(bad), "{bad:?}");
         }
+    }
+
+    #[tokio::test]
+    async fn meshes_that_nobody_wants_go_at_a_start() {
+        let dir = tempfile::tempdir().unwrap();
+        let open = async |keep_meshes| {
+            let limits = Limits { keep_meshes, ..Limits::default() };
+            Jobs::open(dir.path(), Terms::default(), limits).await.unwrap()
+        };
+        let put = async |jobs: &Jobs, bytes: &'static [u8]| {
+            let (send, chunks) = mpsc::channel(1);
+            send.try_send(Bytes::from_static(bytes)).unwrap();
+            drop(send);
+            jobs.put_mesh(Announced::default(), chunks).await.unwrap().hash
+        };
+        let jobs = open(Duration::from_hours(1)).await;
+        let (used, unused) = (put(&jobs, b"used").await, put(&jobs, b"unused").await);
+        let (file_name, spec) = ("a.ply".into(), Spec::new(vec![5]));
+        let new = NewJob { request_id: String::new(), mesh: used.clone(), file_name, spec };
+        jobs.create(new, vec![]).await.unwrap();
+        let file = jobs.0.blobs.mesh(&unused);
+        jobs.close().await;
+        drop(jobs);
+        // Young as it is, it stays.
+        let jobs = open(Duration::from_hours(1)).await;
+        assert!(jobs.reuse_mesh(&unused).await.unwrap().is_some() && file.exists());
+        jobs.close().await;
+        drop(jobs);
+        // At an age of nothing only what a job names does.
+        let jobs = open(Duration::ZERO).await;
+        assert!(jobs.find_mesh(&unused).await.unwrap().is_none() && !file.exists());
+        assert!(jobs.find_mesh(&used).await.unwrap().is_some());
+        assert!(jobs.0.blobs.mesh(&used).exists());
     }
 }

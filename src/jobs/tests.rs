@@ -212,30 +212,6 @@ async fn a_worker_that_asks_again_has_dropped_its_job() {
 }
 
 #[tokio::test]
-async fn meshes_that_nobody_wants_go_at_a_start() {
-    let dir = tempfile::tempdir().unwrap();
-    let jobs = open(dir.path()).await;
-    let used = create(&jobs).await.mesh;
-    let unused = jobs.put_mesh(Announced::default(), bytes_of(&[b"other"])).await.unwrap().hash;
-    let restart = async |jobs: Jobs, keep_meshes| {
-        jobs.close().await;
-        drop(jobs);
-        let limits = Limits { keep_meshes, ..Limits::default() };
-        Jobs::open(dir.path(), Terms::default(), limits).await.unwrap()
-    };
-    // Young as it is, it stays.
-    let jobs = restart(jobs, Duration::from_hours(1)).await;
-    assert!(jobs.reuse_mesh(&unused).await.unwrap().is_some());
-    let file = jobs.0.blobs.mesh(&unused);
-    assert!(file.exists());
-    // At an age of nothing only what a job names does.
-    let jobs = restart(jobs, Duration::ZERO).await;
-    assert_eq!(jobs.find_mesh(&unused).await.unwrap(), None);
-    assert!(!file.exists());
-    assert!(jobs.find_mesh(&used).await.unwrap().is_some() && jobs.0.blobs.mesh(&used).exists());
-}
-
-#[tokio::test]
 async fn cancelled_jobs_keep_what_was_stored() {
     let dir = tempfile::tempdir().unwrap();
     let jobs = open(dir.path()).await;
