@@ -32,7 +32,7 @@ impl Pair {
     fn new(scene: Scene) -> Option<Self> {
         let gpu = open()?;
         let reference = raster::reference(&scene);
-        let twin = Twin::new(&scene, reference.clone());
+        let twin = Twin::new(&scene, &reference);
         let device = Device::new(gpu, &scene, reference).unwrap();
         Some(Self { scene, device, twin })
     }
