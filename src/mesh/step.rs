@@ -3,7 +3,7 @@
 //! Every stage takes `&mut dyn FnMut(Step<'_>) -> ControlFlow<()>`: one callback for edits,
 //! progress and cancellation. `Break` ends the stage after the step it was told of.
 
-use super::edit::Collapse;
+use super::edit::Edit;
 
 /// The stages of a job, in the order they run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -47,7 +47,7 @@ pub struct Sample {
 #[derive(Debug)]
 pub enum Step<'a> {
     /// An edit was applied to the mesh.
-    Edit(&'a Collapse),
+    Edit(Edit<'a>),
     /// A point of the energy curve.
     Sample(Sample),
     /// `done` of `total` units of work; units are the stage's own.

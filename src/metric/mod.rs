@@ -8,7 +8,10 @@ mod bvh;
 pub mod image;
 mod objective;
 pub mod surface;
+mod template;
 
 pub use objective::{
     Objective, Pictures, bounding_sphere, d2_percent, reference_pictures, scene_of_edit_mesh,
+    scene_with_normals, stored_normal,
 };
+pub use template::{Change, Free, Template};

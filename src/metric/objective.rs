@@ -8,7 +8,7 @@
 use glam::DVec3;
 
 use crate::{
-    mesh::{Collapse, EditMesh, FaceId, Mesh, VertexId},
+    mesh::{Collapse, EditMesh, FaceId, Mesh, Semantic, VertexId},
     render::{
         AddedFace, Evaluator, MAX_MOVE_VERTICES, Move, Reference, RenderError, RenderParams, Scene,
         SceneFace, Shading, reference,
@@ -23,6 +23,8 @@ pub struct Objective {
     scene: Scene,
     evaluator: Box<dyn Evaluator>,
     albedo: Albedo,
+    reference: Option<Reference>,
+    has_own_normals: bool,
     evaluations: u64,
 }
 
@@ -54,6 +56,31 @@ pub fn scene_of_edit_mesh(mesh: &EditMesh, pictures: &Pictures) -> Scene {
     scene_of(mesh.mesh(), &Albedo::of(mesh.mesh()), pictures, |f| mesh.is_alive(FaceId(f)))
 }
 
+/// The same as [`scene_of_edit_mesh`] for smooth shading with the normals that the mesh has as an
+/// attribute: the mean over the corners at each vertex. They need not be of unit length.
+pub fn scene_with_normals(mesh: &EditMesh, pictures: &Pictures) -> Scene {
+    let mut scene = scene_of_edit_mesh(mesh, pictures);
+    let normals = (0..mesh.n_vertex_slots() as u32).map(VertexId).filter(|&v| mesh.is_used(v));
+    let normals = normals.filter_map(|v| Some((v.0, stored_normal(mesh, v)?))).collect();
+    scene.apply(&Move { normals, ..Move::default() });
+    scene
+}
+
+/// The mean of the normals stored at the corners of a vertex.
+pub fn stored_normal(mesh: &EditMesh, vertex: VertexId) -> Option<DVec3> {
+    let layer = mesh.mesh().layer(Semantic::Normal)?;
+    let faces = mesh.faces_around(vertex);
+    let mut sum = DVec3::ZERO;
+    for &face in faces {
+        let at = mesh.vertices_of(face).iter().position(|&v| v == vertex)?;
+        match layer.get(mesh.wedges_of(face)[at]) {
+            &[x, y, z] => sum += DVec3::new(f64::from(x), f64::from(y), f64::from(z)),
+            _ => return None,
+        }
+    }
+    (!faces.is_empty()).then(|| sum / faces.len() as f64)
+}
+
 fn scene_of(
     mesh: &Mesh,
     albedo: &Albedo,
@@ -74,7 +101,52 @@ fn scene_of(
 impl Objective {
     /// `evaluator` must have been built from `scene`, which shows `mesh` as it is now.
     pub fn new(mesh: &EditMesh, scene: Scene, evaluator: Box<dyn Evaluator>) -> Self {
-        Self { scene, evaluator, albedo: Albedo::of(mesh.mesh()), evaluations: 0 }
+        Self {
+            scene,
+            evaluator,
+            albedo: Albedo::of(mesh.mesh()),
+            reference: None,
+            has_own_normals: false,
+            evaluations: 0,
+        }
+    }
+
+    /// The same objective for a model whose vertex normals are its own, not derived from its
+    /// triangles: `scene` shows them (see [`scene_with_normals`]).
+    #[must_use]
+    pub fn with_own_normals(self) -> Self {
+        Self { has_own_normals: true, ..self }
+    }
+
+    /// Whether vertex normals stay when triangles move.
+    pub fn has_own_normals(&self) -> bool {
+        self.has_own_normals
+    }
+
+    /// How surfaces are shaded.
+    pub fn shading(&self) -> Shading {
+        self.scene.params.shading
+    }
+
+    /// The same objective, which can also tell where the pictures differ: `reference` is what its
+    /// evaluator was built from.
+    #[must_use]
+    pub fn with_reference(self, reference: Reference) -> Self {
+        Self { reference: Some(reference), ..self }
+    }
+
+    /// The pictures of the original, if they were kept.
+    pub fn reference(&self) -> Option<&Reference> {
+        self.reference.as_ref()
+    }
+
+    /// The model as it is drawn.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    pub(super) fn albedo(&self) -> &Albedo {
+        &self.albedo
     }
 
     /// Moves judged so far.
@@ -106,6 +178,41 @@ impl Objective {
     /// Makes a move.
     pub fn commit(&mut self, mv: &Move) -> Result<i64, RenderError> {
         self.evaluator.commit(&mut self.scene, mv)
+    }
+
+    /// Makes a move if that lowers the energy; `mesh` has not followed yet. Returns the change of
+    /// energy, or `None` when it would not have fallen: then nothing has changed.
+    pub fn commit_if_better(
+        &mut self,
+        mesh: &EditMesh,
+        mv: &Move,
+    ) -> Result<Option<i64>, RenderError> {
+        let back = self.inverse(mesh, mv);
+        let delta = self.commit(mv)?;
+        if delta < 0 {
+            return Ok(Some(delta));
+        }
+        self.commit(&back)?;
+        Ok(None)
+    }
+
+    /// The move that takes back `mv`, which the pictures do not show yet.
+    pub fn inverse(&self, mesh: &EditMesh, mv: &Move) -> Move {
+        let scene = &self.scene;
+        let face = |f: &u32| {
+            let face = scene.faces.get(*f as usize).copied().flatten()?;
+            Some(AddedFace { face: *f, vertices: face.vertices, albedo: face.albedo })
+        };
+        // A vertex that the move brings has nowhere to go back to.
+        let is_old = |v: u32| (v as usize) < mesh.n_vertex_slots();
+        let moved = mv.moved.iter().filter(|m| is_old(m.0));
+        let normals = mv.normals.iter().filter(|m| is_old(m.0));
+        Move {
+            removed: mv.added.iter().map(|a| a.face).collect(),
+            added: mv.removed.iter().filter_map(face).collect(),
+            moved: moved.map(|(v, _)| (*v, scene.position(*v))).collect(),
+            normals: normals.map(|(v, _)| (*v, scene.normal(*v))).collect(),
+        }
     }
 
     /// A collapse that `mesh` has not made yet, as a move. `None` when it touches more of the mesh
@@ -146,7 +253,12 @@ impl Objective {
     }
 
     /// A triangle as it will be after the collapse; `None` when the collapse removes it.
-    fn after_collapse(&self, mesh: &EditMesh, plan: &Collapse, face: FaceId) -> Option<AddedFace> {
+    pub(super) fn after_collapse(
+        &self,
+        mesh: &EditMesh,
+        plan: &Collapse,
+        face: FaceId,
+    ) -> Option<AddedFace> {
         let before = mesh.vertices_of(face);
         if before.contains(&plan.keep) && before.contains(&plan.drop) {
             return None;

@@ -1,0 +1,6 @@
+//! Image-driven optimization.
+pub mod driver;
+mod quadratic;
+mod rng;
+pub mod simplex;
+mod trial;
