@@ -30,4 +30,4 @@ pub use model::{
     AttributeLayer, Corner, EdgeId, FaceId, Material, Mesh, Semantic, VertexId, WedgeId,
 };
 pub use snapshot::Snapshot;
-pub use step::{Sample, Stage, Step};
+pub use step::{MoveCount, Sample, Stage, Step};

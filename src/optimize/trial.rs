@@ -110,7 +110,11 @@ impl Trial {
 }
 
 /// Runs all searches to their ends.
-pub fn run(objective: &mut Objective, trials: &mut [Trial]) -> Result<(), RenderError> {
+pub fn run<'t>(
+    objective: &mut Objective,
+    trials: impl Iterator<Item = &'t mut Trial>,
+) -> Result<(), RenderError> {
+    let mut trials: Vec<&mut Trial> = trials.collect();
     loop {
         let mut moves = Vec::new();
         let counts: Vec<usize> = trials.iter().map(|t| t.asks(&mut moves)).collect();

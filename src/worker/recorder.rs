@@ -157,7 +157,7 @@ impl<'a> Recorder<'a> {
         match step {
             Step::Edit(Edit::Collapse(collapse)) => self.edit(collapse),
             // The stages that simplify make collapses only, and the log holds nothing else.
-            Step::Edit(_) => ControlFlow::Continue(()),
+            Step::Edit(_) | Step::Moves(_) => ControlFlow::Continue(()),
             Step::Sample(sample) => {
                 let sample = EnergySample {
                     stage: sample.stage.name().into(),
