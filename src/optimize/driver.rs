@@ -12,7 +12,7 @@ use super::{
     edges::{self, Sources},
     params::{Params, StoppedBy},
     run::{Memory, Run},
-    sweeps,
+    sweeps, teleport,
 };
 
 /// How a run ended.
@@ -52,10 +52,11 @@ pub struct Optimizer<'a> {
 enum Pass {
     Vertices,
     Swaps,
+    Teleports,
     Edges,
 }
 
-const PASSES: [Pass; 3] = [Pass::Vertices, Pass::Swaps, Pass::Edges];
+const PASSES: [Pass; 4] = [Pass::Vertices, Pass::Swaps, Pass::Teleports, Pass::Edges];
 
 /// A pass that was not chosen seems better by this factor each time, so that none is forgotten.
 const LONGING: f64 = 1.3;
@@ -114,8 +115,12 @@ impl<'a> Optimizer<'a> {
 
 /// Runs passes until the run is over.
 fn passes(run: &mut Run<'_>, sources: &mut Sources) -> Result<(), RenderError> {
-    let allowed: Vec<Pass> =
-        PASSES.into_iter().filter(|p| *p == Pass::Edges || run.params.has_sweeps).collect();
+    let is_allowed = |p: &Pass| match p {
+        Pass::Vertices | Pass::Swaps => run.params.has_sweeps,
+        Pass::Teleports => run.params.has_sweeps && run.params.has_teleports,
+        Pass::Edges => true,
+    };
+    let allowed: Vec<Pass> = PASSES.into_iter().filter(is_allowed).collect();
     let mut rates = vec![f64::INFINITY; allowed.len()];
     let mut n_fruitless = 0;
     while !run.is_over() && n_fruitless < MAX_FRUITLESS {
@@ -125,8 +130,11 @@ fn passes(run: &mut Run<'_>, sources: &mut Sources) -> Result<(), RenderError> {
         let reduction = match allowed[best] {
             Pass::Vertices => sweeps::vertices(run)?,
             Pass::Swaps => sweeps::swaps(run)?,
+            Pass::Teleports => teleport::pair(run)?,
             Pass::Edges => edges::iterate(run, sources)?,
         };
+        #[cfg(feature = "trace")]
+        eprintln!("{:?} {} {:.6}", allowed[best], run.evaluations() - before, 100.0 * reduction as f64 / run.first_energy as f64);
         let spent = (run.evaluations() - before).max(1);
         rates.iter_mut().for_each(|rate| *rate *= LONGING);
         rates[best] = reduction as f64 / spent as f64;

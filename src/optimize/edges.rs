@@ -105,13 +105,15 @@ fn try_on_all(
         let (mut wave, later) = next_wave(run, operation, chosen, &todo);
         trial::run(run.objective, wave.iter_mut().map(|(_, p)| &mut p.trial))?;
         for (i, proposal) in wave {
-            let before = run.evaluations();
+            let (before, n_pricing) = (run.evaluations(), run.memory.n_pricing);
             let reduction = match operation.kind {
                 Kind::Split => teleport::complete(run, &proposal)?,
                 _ => run.accept(&proposal)?,
             };
+            // Prices once found serve many teleports, so they are not charged to this one.
+            let pricing = run.memory.n_pricing - n_pricing;
             let own = u64::from(proposal.trial.evaluations());
-            let spent = run.evaluations() - before + own;
+            let spent = run.evaluations() - before - pricing + own;
             run.memory.statistics.log(operation, reduction, spent);
             chosen[i].reduction += reduction;
         }

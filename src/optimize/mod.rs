@@ -14,12 +14,12 @@
 //!
 //! Knows nothing of files, devices or jobs.
 
-mod collapses;
 mod driver;
 mod edges;
 mod operations;
 mod oracle;
 mod params;
+mod prices;
 mod quadratic;
 mod rng;
 mod run;

@@ -19,9 +19,9 @@ use crate::{
 };
 
 use super::{
-    collapses::Collapses,
     operations::{Plan, Proposal, Proposer},
     params::{Params, StoppedBy},
+    prices::Prices,
     rng::Rng,
     statistics::Statistics,
 };
@@ -63,7 +63,9 @@ pub struct Memory {
     /// What the operations have brought.
     pub statistics: Statistics,
     /// What collapses would cost.
-    pub collapses: Collapses,
+    pub collapses: Prices,
+    /// What splits would cost (less than nothing, as a rule).
+    pub splits: Prices,
     /// Edits so far: the age of everything that was found out.
     pub now: u64,
     /// When each triangle last changed.
@@ -73,6 +75,8 @@ pub struct Memory {
     n_waves: u64,
     /// Teleports that raised the energy.
     pub n_uphill: u64,
+    /// Evaluations spent on the prices of collapses.
+    pub n_pricing: u64,
     next_sample: u64,
 }
 
@@ -83,12 +87,14 @@ impl Memory {
             rng: Rng::new(params.seed),
             steps: vec![params.delta; mesh.n_vertex_slots()],
             statistics: Statistics::default(),
-            collapses: Collapses::new(mesh),
+            collapses: Prices::new(mesh, 0),
+            splits: Prices::new(mesh, i64::MIN / 4),
             now: 1,
             changed_at: vec![0; mesh.n_face_slots()],
             claims: vec![0; mesh.n_face_slots()],
             n_waves: 0,
             n_uphill: 0,
+            n_pricing: 0,
             next_sample: 0,
         }
     }
@@ -254,6 +260,7 @@ impl Run<'_> {
         let mut ring = Vec::new();
         for v in centers.chain(proposal.edge) {
             memory.collapses.disturb(self.mesh, v);
+            memory.splits.disturb(self.mesh, v);
             self.mesh.neighbours(v, &mut ring);
             for w in ring.iter().chain([&v]) {
                 let step = &mut memory.steps[w.index()];

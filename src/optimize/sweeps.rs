@@ -16,6 +16,10 @@ use super::{
 const VERTEX: Operation = Operation { kind: Kind::NoOp, level: 0 };
 const SWAP: Operation = Operation { kind: Kind::Swap, level: 0 };
 
+const SEARCHED_SWAP: Operation = Operation { kind: Kind::Swap, level: 2 };
+/// Swaps of a sweep that are tried again with free vertices.
+const N_SEARCHED_SWAPS: usize = 32;
+
 /// Growth of a vertex's step when it moved, and its shrinkage when it did not.
 const GROW: f64 = 1.1;
 const SHRINK: f64 = 0.5;
@@ -79,14 +83,38 @@ pub fn swaps(run: &mut Run<'_>) -> Result<i64, RenderError> {
     trial::run(run.objective, all.iter_mut().map(|p| &mut p.trial))?;
     let since = run.memory.now;
     all.sort_by_key(|p| (p.trial.best().1, p.edge));
+    let n_better = all.partition_point(|p| p.trial.best().1 < 0);
     let mut sum = 0;
-    for proposal in all {
+    for proposal in all.drain(..n_better) {
         let is_fresh = run.is_unchanged(proposal.trial.template.touched(), since);
         let [a, b] = proposal.edge;
         // A swap elsewhere may have joined the two vertices that this one would join.
         let is_legal = is_fresh && run.mesh.plan_swap(a, b).is_some();
         let reduction = if is_legal { run.accept(&proposal)? } else { 0 };
         run.memory.statistics.count(SWAP, reduction, 1);
+        sum += reduction;
+    }
+    all.truncate(N_SEARCHED_SWAPS);
+    let edges: Vec<_> = all.into_iter().map(|p| p.edge).collect();
+    Ok(sum + searched_swaps(run, &edges)?)
+}
+
+/// Swaps that raise the energy least, tried again with their four vertices free.
+fn searched_swaps(run: &mut Run<'_>, edges: &[[VertexId; 2]]) -> Result<i64, RenderError> {
+    run.begin_wave();
+    let mut wave = Vec::new();
+    for edge in edges {
+        let proposal = run.proposer().propose(SEARCHED_SWAP, *edge, None);
+        wave.extend(proposal.filter(|p| run.claim(p.trial.template.touched())));
+    }
+    trial::run(run.objective, wave.iter_mut().map(|p| &mut p.trial))?;
+    let mut sum = 0;
+    for proposal in &wave {
+        let [a, b] = proposal.edge;
+        let is_legal = run.mesh.plan_swap(a, b).is_some();
+        let reduction = if is_legal { run.accept(proposal)? } else { 0 };
+        let spent = u64::from(proposal.trial.evaluations());
+        run.memory.statistics.count(SEARCHED_SWAP, reduction, spent);
         sum += reduction;
     }
     Ok(sum)
