@@ -72,6 +72,21 @@ impl<'a> Optimizer<'a> {
         Self { mesh, objective, params, memory, sources: Sources::default() }
     }
 
+    /// Goes on where another optimizer of the same mesh left off, maybe with other pictures.
+    pub fn resume(
+        mesh: &'a mut EditMesh,
+        objective: &'a mut Objective,
+        params: Params,
+        memory: Memory,
+    ) -> Self {
+        Self { mesh, objective, params, memory, sources: Sources::default() }
+    }
+
+    /// What is remembered of the mesh, for [`Self::resume`].
+    pub fn into_memory(self) -> Memory {
+        self.memory
+    }
+
     /// The mesh as it is now.
     pub fn mesh(&self) -> &EditMesh {
         self.mesh

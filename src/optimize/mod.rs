@@ -31,3 +31,4 @@ mod trial;
 
 pub use driver::{OptimizeError, Optimizer, Outcome};
 pub use params::{Params, Solver, StoppedBy};
+pub use run::Memory;

@@ -54,6 +54,16 @@ impl Done {
     }
 }
 
+/// Edits that stay or go together.
+#[derive(Debug, Default)]
+pub struct Transaction {
+    done: Vec<Done>,
+    /// What takes each step back in the pictures, in the order of the steps.
+    backs: Vec<Move>,
+    /// The change of energy so far.
+    pub delta: i64,
+}
+
 /// What is remembered between the passes of a run.
 pub struct Memory {
     /// Random choices.
@@ -182,20 +192,87 @@ impl Run<'_> {
     /// Makes the best edit that a proposal's search has found, if it lowers the energy. Returns
     /// the energy taken off, 0 if it was rejected.
     pub fn accept(&mut self, proposal: &Proposal) -> Result<i64, RenderError> {
+        let mut step = Transaction::default();
+        self.improve(proposal, &mut step)?;
+        let reduction = -step.delta;
+        self.keep(step);
+        Ok(reduction)
+    }
+
+    /// The same as a step of a transaction.
+    pub fn improve(
+        &mut self,
+        proposal: &Proposal,
+        within: &mut Transaction,
+    ) -> Result<(), RenderError> {
         let (point, value) = proposal.trial.best();
         if value >= 0 || self.is_over() {
-            return Ok(0);
+            return Ok(());
         }
         let (places, normals) = proposal.trial.unpack(&point);
         let mv = proposal.trial.template.at(&places, &normals);
-        let Some(delta) = self.objective.commit_if_better(self.mesh, &mv)? else { return Ok(0) };
-        let done = self.perform(proposal, &places, &normals);
-        self.tell(&done);
-        Ok(-delta)
+        let back = self.objective.inverse(self.mesh, &mv);
+        let delta = self.objective.commit(&mv)?;
+        if delta < 0 {
+            self.enter(proposal, (&places, &normals), (delta, back), within);
+        } else {
+            self.objective.commit(&back)?;
+        }
+        Ok(())
+    }
+
+    /// Makes the edit of a proposal with its vertices at the given places, whatever it does to
+    /// the energy, as a step of a transaction.
+    pub fn make(
+        &mut self,
+        proposal: &Proposal,
+        (places, normals): (&[DVec3], &[DVec3]),
+        within: &mut Transaction,
+    ) -> Result<(), RenderError> {
+        let mv = proposal.trial.template.at(places, normals);
+        let back = self.objective.inverse(self.mesh, &mv);
+        let delta = self.objective.commit(&mv)?;
+        self.enter(proposal, (places, normals), (delta, back), within);
+        Ok(())
+    }
+
+    /// Follows in the mesh what the pictures show already.
+    fn enter(
+        &mut self,
+        proposal: &Proposal,
+        (places, normals): (&[DVec3], &[DVec3]),
+        (delta, back): (i64, Move),
+        within: &mut Transaction,
+    ) {
+        within.done.extend(self.perform(proposal, places, normals));
+        within.backs.push(back);
+        within.delta += delta;
+    }
+
+    /// Ends a transaction: its edits stay, and the caller is told.
+    pub fn keep(&mut self, ended: Transaction) {
+        if !ended.done.is_empty() {
+            self.tell(&ended.done);
+        }
+    }
+
+    /// Ends a transaction: mesh and pictures are as they were before it.
+    pub fn roll_back(&mut self, mut ended: Transaction) -> Result<(), RenderError> {
+        for back in ended.backs.iter().rev() {
+            self.objective.commit(back)?;
+        }
+        while let Some(one) = ended.done.pop() {
+            self.mesh.undo(one.edit());
+        }
+        self.objective.follow(self.mesh);
+        // What was found out about slots that are gone would be taken for their successors'.
+        self.memory.changed_at.truncate(self.mesh.n_face_slots());
+        self.memory.steps.truncate(self.mesh.n_vertex_slots());
+        Ok(())
     }
 
     /// Makes the edits of a proposal in the mesh; the pictures show them already.
-    pub fn perform(
+    fn perform(
         &mut self,
         proposal: &Proposal,
         places: &[DVec3],
@@ -233,16 +310,6 @@ impl Run<'_> {
         self.objective.follow(self.mesh);
         self.remember(proposal);
         done
-    }
-
-    /// Takes back edits that were made last; `back` does the same to the pictures.
-    pub fn take_back(&mut self, done: &[Done], back: &Move) -> Result<(), RenderError> {
-        self.objective.commit(back)?;
-        for one in done.iter().rev() {
-            self.mesh.undo(one.edit());
-        }
-        self.objective.follow(self.mesh);
-        Ok(())
     }
 
     /// Notes what an edit makes out of date.

@@ -9,7 +9,7 @@ use crate::{
 
 use super::{
     operations::{Kind, Operation, Proposal},
-    run::{Run, SETTLED},
+    run::{Run, SETTLED, Transaction},
     trial,
 };
 
@@ -41,6 +41,30 @@ pub fn vertices(run: &mut Run<'_>) -> Result<i64, RenderError> {
         todo = later;
     }
     Ok(reduction)
+}
+
+/// Searches better places for a few vertices, one after the other where they touch, in so many
+/// rounds, as steps of a transaction.
+pub fn relax(
+    run: &mut Run<'_>,
+    vertices: &[VertexId],
+    n_rounds: u32,
+    within: &mut Transaction,
+) -> Result<(), RenderError> {
+    for _ in 0..n_rounds {
+        let mut todo = vertices.to_vec();
+        while !todo.is_empty() {
+            let (mut wave, later) = vertex_wave(run, &todo);
+            trial::run(run.objective, wave.iter_mut().map(|p| &mut p.trial))?;
+            for proposal in &wave {
+                run.improve(proposal, within)?;
+                let spent = u64::from(proposal.trial.evaluations());
+                run.memory.statistics.count(VERTEX, 0, spent);
+            }
+            todo = later;
+        }
+    }
+    Ok(())
 }
 
 fn vertex_wave(run: &mut Run<'_>, todo: &[VertexId]) -> (Vec<Proposal>, Vec<VertexId>) {

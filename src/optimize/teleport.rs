@@ -5,15 +5,15 @@ use glam::DVec3;
 
 use crate::{
     memoryless,
-    mesh::Topology,
-    render::{Move, RenderError},
+    mesh::{Topology, VertexId},
+    render::RenderError,
 };
 
 use super::{
     operations::{Kind, Operation, Proposal},
     prices::{Ends, Entry},
-    run::{Done, Run},
-    trial,
+    run::{Run, Transaction},
+    sweeps, trial,
 };
 
 /// Edges whose collapse is judged at once.
@@ -25,63 +25,42 @@ const MAX_LEVEL: u8 = 3;
 
 /// Splits that are judged at once.
 const SPLIT_BATCH: usize = 64;
-/// Most teleports of a pass.
-const MAX_PER_PASS: usize = 32;
-/// Most levels of a split in a pass: at the third, ten vertices and more are free.
-const MAX_SPLIT_LEVEL: u8 = 2;
+/// Most teleports that a pass tries, and how many may fail in a row.
+const MAX_PER_PASS: usize = 48;
+const MAX_FAILURES: usize = 8;
+/// Rounds in which the neighbours of a new vertex find their places.
+const RELAX_ROUNDS: u32 = 2;
+/// A split must bring this share of what a collapse costs: the relaxing that follows may save the
+/// rest.
+const LEAST_SHARE: f64 = 0.7;
 
 /// A pass of teleports: the splits that bring most, each with the collapse that costs least, as
 /// long as they pay. Beyond the paper, which splits the edges that an iteration happens to be at.
 /// Returns the energy taken off.
 pub fn pair(run: &mut Run<'_>) -> Result<i64, RenderError> {
-    let mut sum = 0;
-    let mut n_left = MAX_PER_PASS;
-    while n_left > 0 && !run.is_over() {
+    let (mut sum, mut n_tried, mut n_failed) = (0, 0, 0);
+    while n_tried < MAX_PER_PASS && n_failed < MAX_FAILURES && !run.is_over() {
         let front = run.memory.splits.front(run.mesh, SPLIT_BATCH);
         let Some((ends, first)) = front.first().copied() else { break };
         if first.is_stale {
-            search_splits(run, &fit(&front, |e| e.is_stale), 1)?;
+            let stale: Vec<_> = front.into_iter().filter(|(_, e)| e.is_stale).collect();
+            search_splits(run, &stale, 1)?;
             continue;
         }
-        n_left -= 1;
-        if !is_affordable(run, -first.cost)? {
-            if !raise(run, &front)? {
-                break;
-            }
-            continue;
-        }
+        n_tried += 1;
         let found = search_splits(run, &[(ends, first)], first.level)?.pop();
         let reduction = match &found {
             Some(split) => complete(run, split)?,
             None => 0,
         };
-        if let (Some(split), true) = (&found, reduction == 0) {
+        n_failed = if reduction > 0 { 0 } else { n_failed + 1 };
+        if reduction == 0 {
             // Not to come up again before its surroundings change.
-            let entry = Entry { cost: 0, is_stale: false, ..first };
-            run.memory.splits.set(ends, entry);
-            run.memory.statistics.count(split.operation, 0, 0);
+            run.memory.splits.set(ends, Entry { cost: 0, is_stale: false, ..first });
         }
         sum += reduction;
     }
     Ok(sum)
-}
-
-fn fit(front: &[(Ends, Entry)], test: impl Fn(&Entry) -> bool) -> Vec<(Ends, Entry)> {
-    front.iter().copied().filter(|(_, e)| test(e)).collect()
-}
-
-/// Searches promising splits one level higher; false if none is promising.
-fn raise(run: &mut Run<'_>, front: &[(Ends, Entry)]) -> Result<bool, RenderError> {
-    let cheapest = run.memory.collapses.cheapest().next();
-    let Some((_, collapse)) = cheapest else { return Ok(false) };
-    let least = run.memory.collapses.hope(collapse.cost);
-    let hope = |e: &Entry| -run.memory.splits.hope(e.cost);
-    let hopeful =
-        fit(front, |e| !e.is_stale && e.level < MAX_SPLIT_LEVEL && hope(e) > least);
-    let Some(level) = hopeful.iter().map(|(_, e)| e.level + 1).min() else { return Ok(false) };
-    let raised: Vec<_> = hopeful.into_iter().filter(|(_, e)| e.level + 1 == level).collect();
-    search_splits(run, &raised, level)?;
-    Ok(true)
 }
 
 /// Searches splits at a level and enters what they bring.
@@ -112,64 +91,59 @@ fn search_splits(
     Ok(found.into_iter().map(|(_, _, p)| p).collect())
 }
 
-/// Finishes a split whose search is over: makes it, and the collapse that pays for it. Returns the
-/// energy taken off by both, 0 if they were not worth it.
+/// Finishes a split whose search is over: makes it, and the collapse that pays for it, and lets
+/// the neighbours of both find new places. Returns the energy taken off by all of it; if there is
+/// none, everything is taken back and 0 returned.
 pub fn complete(run: &mut Run<'_>, split: &Proposal) -> Result<i64, RenderError> {
-    let gain = -split.trial.best().1;
-    if gain <= 0 || run.is_over() || !is_affordable(run, gain)? {
+    let (point, value) = split.trial.best();
+    if value >= 0 || run.is_over() {
         return Ok(0);
     }
     // Teleports made since it was planned may have taken its ids, or its triangles.
-    let (point, _) = split.trial.best();
+    let fresh = run.proposer().propose(split.operation, split.edge, None);
+    let is_same = |f: &Proposal| f.trial.template.touched() == split.trial.template.touched();
+    let Some(fresh) = fresh.filter(is_same) else { return Ok(0) };
     let (places, normals) = split.trial.unpack(&point);
-    let Some(fresh) = run.proposer().propose(split.operation, split.edge, None) else {
-        return Ok(0);
+    let mut teleport = Transaction::default();
+    run.make(&fresh, (&places, &normals), &mut teleport)?;
+    let Some(new) = fresh.trial.free.first().map(|f| f.vertex) else { return Ok(0) };
+    relax_around(run, new, &mut teleport)?;
+    pay(run, &mut teleport)?;
+    let reduction = -teleport.delta;
+    if reduction > 0 {
+        run.keep(teleport);
+        return Ok(reduction);
+    }
+    run.roll_back(teleport)?;
+    Ok(0)
+}
+
+/// Collapses the cheapest edge, as a step of a teleport whose split is made; without one, or with
+/// one that is too dear, the energy ends above its start.
+fn pay(run: &mut Run<'_>, teleport: &mut Transaction) -> Result<(), RenderError> {
+    let gain = -teleport.delta;
+    let found = if gain > 0 { find(run, gain)? } else { None };
+    let Some(collapse) = found else {
+        teleport.delta = i64::MAX;
+        return Ok(());
     };
-    if fresh.trial.template.touched() != split.trial.template.touched() {
-        return Ok(0);
-    }
-    let mv = fresh.trial.template.at(&places, &normals);
-    let back = run.objective.inverse(run.mesh, &mv);
-    let gain = -run.objective.commit(&mv)?;
-    let mut done = run.perform(&fresh, &places, &normals);
-    let reduction = pay(run, gain, &mut done)?;
-    if reduction == 0 {
-        run.take_back(&done, &back)?;
-    }
-    Ok(reduction)
-}
-
-/// Collapses an edge for less than `gain`; the energy taken off by both, 0 for neither.
-fn pay(run: &mut Run<'_>, gain: i64, done: &mut Vec<Done>) -> Result<i64, RenderError> {
-    if gain <= 0 {
-        return Ok(0);
-    }
-    let found = find(run, gain)?;
-    let Some(collapse) = found else { return Ok(0) };
-    let (point, _) = collapse.trial.best();
+    let (point, cost) = collapse.trial.best();
     let (places, normals) = collapse.trial.unpack(&point);
-    let mv: Move = collapse.trial.template.at(&places, &normals);
-    let cost = run.objective.commit(&mv)?;
-    let made = run.perform(&collapse, &places, &normals);
-    debug_assert!(cost < gain);
-    done.extend(made);
-    let told = std::mem::take(done);
-    run.tell(&told);
+    run.make(&collapse, (&places, &normals), teleport)?;
     run.memory.statistics.count(collapse.operation, -cost, 0);
-    Ok(gain - cost)
+    relax_around(run, collapse.edge[0], teleport)
 }
 
-/// Whether some collapse may be had for less than `gain`.
-fn is_affordable(run: &mut Run<'_>, gain: i64) -> Result<bool, RenderError> {
-    for _ in 0..MAX_ROUNDS {
-        let front = run.memory.collapses.front(run.mesh, BATCH);
-        let Some((_, first)) = front.first() else { return Ok(false) };
-        if !first.is_stale || first.cost > gain {
-            return Ok(run.memory.collapses.hope(first.cost) < gain as f64);
-        }
-        judge(run, &stale(&front))?;
-    }
-    Ok(false)
+/// Lets a vertex and its neighbours find better places.
+fn relax_around(
+    run: &mut Run<'_>,
+    v: VertexId,
+    within: &mut Transaction,
+) -> Result<(), RenderError> {
+    let mut vertices = Vec::new();
+    run.mesh.neighbours(v, &mut vertices);
+    vertices.insert(0, v);
+    sweeps::relax(run, &vertices, RELAX_ROUNDS, within)
 }
 
 fn stale(front: &[(Ends, Entry)]) -> Vec<Ends> {
@@ -178,6 +152,8 @@ fn stale(front: &[(Ends, Entry)]) -> Vec<Ends> {
 
 /// The cheapest collapse, searched at the level that makes it cheap enough.
 fn find(run: &mut Run<'_>, gain: i64) -> Result<Option<Proposal>, RenderError> {
+    // What the relaxing after the collapse will save is not known yet.
+    let most = (gain as f64 / LEAST_SHARE) as i64;
     for _ in 0..MAX_ROUNDS {
         let front = run.memory.collapses.front(run.mesh, BATCH);
         let Some((ends, first)) = front.first().copied() else { return Ok(None) };
@@ -185,15 +161,15 @@ fn find(run: &mut Run<'_>, gain: i64) -> Result<Option<Proposal>, RenderError> {
             judge(run, &stale(&front))?;
             continue;
         }
-        if first.cost < gain {
+        if first.cost < most {
             let found = search(run, &[(ends, first)], first.level.max(1))?.pop();
-            match found.filter(|p| p.trial.best().1 < gain) {
+            match found.filter(|p| p.trial.best().1 < most) {
                 Some(proposal) => return Ok(Some(proposal)),
                 None => continue,
             }
         }
         let hope = |e: &Entry| run.memory.collapses.hope(e.cost);
-        let is_hopeful = |e: &Entry| !e.is_stale && e.level < MAX_LEVEL && hope(e) < gain as f64;
+        let is_hopeful = |e: &Entry| !e.is_stale && e.level < MAX_LEVEL && hope(e) < most as f64;
         let hopeful = front.iter().copied().filter(|(_, e)| is_hopeful(e));
         let level = hopeful.clone().map(|(_, e)| e.level + 1).min();
         let Some(level) = level else { return Ok(None) };
