@@ -12,6 +12,6 @@ mod template;
 
 pub use objective::{
     Objective, Pictures, bounding_sphere, d2_percent, reference_pictures, scene_of_edit_mesh,
-    scene_with_normals, stored_normal,
+    scene_with_normals, stored_normal, with_vertex_normals,
 };
 pub use template::{Change, Free, Template};

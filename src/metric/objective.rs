@@ -5,10 +5,10 @@
 //! triangles at both ends of the edge (T = ⌈⌈⌊e⌋⌉⌉); smooth shading also those of the ring, whose
 //! vertex normals change (Lindstrom & Turk 2000, section 5).
 
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 
 use crate::{
-    mesh::{Collapse, EditMesh, FaceId, Mesh, Semantic, VertexId},
+    mesh::{AttributeLayer, Collapse, EditMesh, FaceId, Mesh, Semantic, VertexId},
     render::{
         AddedFace, Evaluator, MAX_MOVE_VERTICES, Move, Reference, RenderError, RenderParams, Scene,
         SceneFace, Shading, reference,
@@ -35,6 +35,38 @@ pub struct Pictures {
     pub params: RenderParams,
     /// From where.
     pub views: Vec<View>,
+}
+
+impl Pictures {
+    /// The same cameras, all turned about the centre of the model by the same rotation: number
+    /// `turn` of a sequence that covers the rotations evenly; number 0 is none at all.
+    #[must_use]
+    pub fn turned(&self, center: DVec3, turn: u64) -> Self {
+        let rotation = nth_rotation(turn);
+        let view = |v: &View| {
+            let mut v = *v;
+            v.eye = center + rotation * (v.eye - center);
+            for axis in [&mut v.right, &mut v.up, &mut v.back, &mut v.to_light] {
+                *axis = rotation * *axis;
+            }
+            v
+        };
+        Self { params: self.params.clone(), views: self.views.iter().map(view).collect() }
+    }
+}
+
+/// Uniform rotations (Shoemake 1992) from an additive recurrence in three dimensions.
+fn nth_rotation(n: u64) -> DQuat {
+    if n == 0 {
+        return DQuat::IDENTITY;
+    }
+    let part = |step: f64| (0.5 + n as f64 * step).fract();
+    let [u, v, w] =
+        [0.819_172_513_396_164_4, 0.671_043_606_703_789_3, 0.549_700_477_901_970_3].map(part);
+    let (sin_v, cos_v) = libm::sincos(std::f64::consts::TAU * v);
+    let (sin_w, cos_w) = libm::sincos(std::f64::consts::TAU * w);
+    let (p, q) = ((1.0 - u).sqrt(), u.sqrt());
+    DQuat::from_xyzw(p * sin_v, p * cos_v, q * sin_w, q * cos_w)
 }
 
 /// Renders the original: once per job.
@@ -79,6 +111,33 @@ pub fn stored_normal(mesh: &EditMesh, vertex: VertexId) -> Option<DVec3> {
         }
     }
     (!faces.is_empty()).then(|| sum / faces.len() as f64)
+}
+
+/// The same mesh with its area-weighted normals as an attribute of its own, one at each vertex:
+/// what an optimizer of normals starts from. A normal layer that it has is replaced.
+pub fn with_vertex_normals(mut mesh: Mesh) -> Mesh {
+    let mut sums = vec![DVec3::ZERO; mesh.positions.len()];
+    for face in &mesh.faces {
+        let [p0, p1, p2] = face.map(|v| mesh.positions[v as usize]);
+        for v in face {
+            sums[*v as usize] += (p1 - p0).cross(p2 - p0);
+        }
+    }
+    let normals: Vec<[f32; 3]> =
+        sums.into_iter().map(|n| n.normalize_or_zero().as_vec3().to_array()).collect();
+    if mesh.layers.is_empty() {
+        mesh.face_wedges.clone_from(&mesh.faces);
+    }
+    let n_wedges = if mesh.layers.is_empty() { normals.len() } else { mesh.n_wedges() };
+    let mut values = vec![0.0; 3 * n_wedges];
+    for (vertices, wedges) in mesh.faces.iter().zip(&mesh.face_wedges) {
+        for (v, w) in vertices.iter().zip(wedges) {
+            values[3 * *w as usize..][..3].copy_from_slice(&normals[*v as usize]);
+        }
+    }
+    mesh.layers.retain(|l| l.semantic != Semantic::Normal);
+    mesh.layers.push(AttributeLayer { semantic: Semantic::Normal, width: 3, values });
+    mesh
 }
 
 fn scene_of(

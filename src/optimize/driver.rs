@@ -156,6 +156,7 @@ fn passes(run: &mut Run<'_>, sources: &mut Sources) -> Result<(), RenderError> {
         let most = rates.iter().copied().filter(|r| r.is_finite()).fold(0.0, f64::max);
         rates.iter_mut().for_each(|rate| *rate = rate.max(LEAST_RATE * most));
         n_fruitless = if reduction > 0 { 0 } else { n_fruitless + 1 };
+        run.sample_if_due();
         let (done, total) = (run.evaluations(), run.params.max_evaluations);
         if (run.on)(Step::Progress { done, total: total.max(done) }).is_break() {
             run.stopped_by = Some(StoppedBy::Caller);

@@ -14,6 +14,7 @@
 //!
 //! Knows nothing of files, devices or jobs.
 
+mod alternate;
 mod driver;
 mod edges;
 mod operations;
@@ -29,6 +30,7 @@ mod sweeps;
 mod teleport;
 mod trial;
 
+pub use alternate::{Shower, alternate};
 pub use driver::{OptimizeError, Optimizer, Outcome};
 pub use params::{Params, Solver, StoppedBy};
 pub use run::Memory;

@@ -1,5 +1,7 @@
 //! What can be chosen, and how a run ends.
 
+use crate::mesh::Topology;
+
 /// How places (and normals) of free vertices are searched.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Solver {
@@ -38,10 +40,19 @@ pub struct Params {
     /// A split for which no collapse is cheap enough keeps, as in the paper, the cheapest one,
     /// though the energy rises; otherwise it is taken back.
     pub allows_uphill: bool,
+    /// Collapses may close triangular holes; otherwise they keep the topology.
+    pub closes_holes: bool,
     /// Vertex normals are unknowns too (only where the objective has normals of its own).
     pub optimizes_normals: bool,
     /// Samples of the energy curve are so many evaluations apart.
     pub sample_every: u64,
+}
+
+impl Params {
+    /// Which collapses are legal.
+    pub fn topology(&self) -> Topology {
+        if self.closes_holes { Topology::CloseHoles } else { Topology::Preserve }
+    }
 }
 
 impl Default for Params {
@@ -59,6 +70,7 @@ impl Default for Params {
             has_sweeps: true,
             has_teleports: true,
             allows_uphill: false,
+            closes_holes: false,
             optimizes_normals: false,
             sample_every: 4096,
         }

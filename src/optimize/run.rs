@@ -12,7 +12,7 @@ use glam::DVec3;
 use crate::{
     mesh::{
         Collapse, Displacement, Edit, EditMesh, FaceId, Revalue, Sample, Semantic, Split, Stage,
-        Step, Swap, VertexId,
+        Step, Swap,
     },
     metric::Objective,
     render::{Move, RenderError},
@@ -87,6 +87,8 @@ pub struct Memory {
     pub n_uphill: u64,
     /// Evaluations spent on the prices of collapses.
     pub n_pricing: u64,
+    /// Triangles at first.
+    pub n_faces: usize,
     next_sample: u64,
 }
 
@@ -105,6 +107,7 @@ impl Memory {
             n_waves: 0,
             n_uphill: 0,
             n_pricing: 0,
+            n_faces: mesh.n_faces(),
             next_sample: 0,
         }
     }
@@ -343,6 +346,11 @@ impl Run<'_> {
                 self.stopped_by = Some(StoppedBy::Caller);
             }
         }
+        self.sample_if_due();
+    }
+
+    /// A point of the energy curve, if one is due. Not within a transaction.
+    pub fn sample_if_due(&mut self) {
         if self.evaluations() >= self.memory.next_sample {
             self.sample();
         }

@@ -5,7 +5,7 @@ use glam::DVec3;
 
 use crate::{
     memoryless,
-    mesh::{Topology, VertexId},
+    mesh::VertexId,
     render::RenderError,
 };
 
@@ -17,7 +17,9 @@ use super::{
 };
 
 /// Edges whose collapse is judged at once.
-const BATCH: usize = 16;
+const BATCH: usize = 24;
+/// Triangles by which the mesh may differ from what it was at first.
+const MOST_OFF: usize = 2;
 /// Rounds of judging before a search for a collapse gives up.
 const MAX_ROUNDS: usize = 24;
 /// Most levels of a collapse.
@@ -40,6 +42,7 @@ const LEAST_SHARE: f64 = 0.7;
 pub fn pair(run: &mut Run<'_>) -> Result<i64, RenderError> {
     let (mut sum, mut n_tried, mut n_failed) = (0, 0, 0);
     while n_tried < MAX_PER_PASS && n_failed < MAX_FAILURES && !run.is_over() {
+        run.sample_if_due();
         let front = run.memory.splits.front(run.mesh, SPLIT_BATCH);
         let Some((ends, first)) = front.first().copied() else { break };
         if first.is_stale {
@@ -108,9 +111,10 @@ pub fn complete(run: &mut Run<'_>, split: &Proposal) -> Result<i64, RenderError>
     run.make(&fresh, (&places, &normals), &mut teleport)?;
     let Some(new) = fresh.trial.free.first().map(|f| f.vertex) else { return Ok(0) };
     relax_around(run, new, &mut teleport)?;
-    pay(run, &mut teleport)?;
+    let is_paid = pay(run, &mut teleport)?;
     let reduction = -teleport.delta;
-    if reduction > 0 {
+    if is_paid && (reduction > 0 || run.params.allows_uphill) {
+        run.memory.n_uphill += u64::from(reduction < 0);
         run.keep(teleport);
         return Ok(reduction);
     }
@@ -118,20 +122,18 @@ pub fn complete(run: &mut Run<'_>, split: &Proposal) -> Result<i64, RenderError>
     Ok(0)
 }
 
-/// Collapses the cheapest edge, as a step of a teleport whose split is made; without one, or with
-/// one that is too dear, the energy ends above its start.
-fn pay(run: &mut Run<'_>, teleport: &mut Transaction) -> Result<(), RenderError> {
+/// Collapses the cheapest edge, as a step of a teleport whose split is made; false if there is
+/// none, or none cheap enough.
+fn pay(run: &mut Run<'_>, teleport: &mut Transaction) -> Result<bool, RenderError> {
     let gain = -teleport.delta;
     let found = if gain > 0 { find(run, gain)? } else { None };
-    let Some(collapse) = found else {
-        teleport.delta = i64::MAX;
-        return Ok(());
-    };
+    let Some(collapse) = found else { return Ok(false) };
     let (point, cost) = collapse.trial.best();
     let (places, normals) = collapse.trial.unpack(&point);
     run.make(&collapse, (&places, &normals), teleport)?;
     run.memory.statistics.count(collapse.operation, -cost, 0);
-    relax_around(run, collapse.edge[0], teleport)
+    relax_around(run, collapse.edge[0], teleport)?;
+    Ok(true)
 }
 
 /// Lets a vertex and its neighbours find better places.
@@ -146,6 +148,18 @@ fn relax_around(
     sweeps::relax(run, &vertices, RELAX_ROUNDS, within)
 }
 
+/// The cheapest collapses that bring the number of triangles back to where it was, give or take
+/// [`MOST_OFF`]: a boundary edge takes one triangle with it, any other two.
+fn fitting(run: &mut Run<'_>) -> Vec<(Ends, Entry)> {
+    let mut front = run.memory.collapses.front(run.mesh, BATCH);
+    let n_faces = run.mesh.n_faces();
+    front.retain(|(ends, _)| {
+        let left = n_faces - run.mesh.edge_faces(ends[0], ends[1]).len();
+        left.abs_diff(run.memory.n_faces) <= MOST_OFF
+    });
+    front
+}
+
 fn stale(front: &[(Ends, Entry)]) -> Vec<Ends> {
     front.iter().filter(|(_, e)| e.is_stale).map(|(ends, _)| *ends).collect()
 }
@@ -155,15 +169,15 @@ fn find(run: &mut Run<'_>, gain: i64) -> Result<Option<Proposal>, RenderError> {
     // What the relaxing after the collapse will save is not known yet.
     let most = (gain as f64 / LEAST_SHARE) as i64;
     for _ in 0..MAX_ROUNDS {
-        let front = run.memory.collapses.front(run.mesh, BATCH);
+        let front = fitting(run);
         let Some((ends, first)) = front.first().copied() else { return Ok(None) };
         if first.is_stale {
             judge(run, &stale(&front))?;
             continue;
         }
-        if first.cost < most {
+        if first.cost < most || run.params.allows_uphill {
             let found = search(run, &[(ends, first)], first.level.max(1))?.pop();
-            match found.filter(|p| p.trial.best().1 < most) {
+            match found.filter(|p| p.trial.best().1 < most || run.params.allows_uphill) {
                 Some(proposal) => return Ok(Some(proposal)),
                 None => continue,
             }
@@ -186,7 +200,7 @@ fn judge(run: &mut Run<'_>, edges: &[Ends]) -> Result<(), RenderError> {
     let mut proposals: Vec<(Ends, DVec3, Proposal)> = Vec::new();
     for &ends in edges {
         run.memory.collapses.remove(ends);
-        if run.mesh.may_collapse(ends[0], ends[1], Topology::Preserve) {
+        if run.mesh.may_collapse(ends[0], ends[1], run.params.topology()) {
             for place in places(run, ends, &mut scratch) {
                 let proposal = run.proposer().propose(operation, ends, Some(place));
                 proposals.extend(proposal.map(|p| (ends, place, p)));
@@ -229,7 +243,7 @@ fn search(
     let operation = Operation { kind: Kind::Collapse, level };
     let mut found: Vec<(Ends, Entry, Proposal)> = Vec::new();
     for &(ends, entry) in edges {
-        if !run.mesh.may_collapse(ends[0], ends[1], Topology::Preserve) {
+        if !run.mesh.may_collapse(ends[0], ends[1], run.params.topology()) {
             run.memory.collapses.remove(ends);
             continue;
         }
