@@ -221,7 +221,7 @@ fn edits_progress_and_samples_reach_the_caller_who_may_stop() {
     let outcome = simplify(&mut mesh, 100, &Params::default(), &mut |step| {
         match step {
             Step::Edit(Edit::Collapse(collapse)) => edits.push(collapse.clone()),
-            Step::Edit(other) => panic!("{other:?}"),
+            other @ (Step::Edit(_) | Step::Moves(_)) => panic!("{other:?}"),
             Step::Progress { done, total } => {
                 assert!(done > done_so_far && done <= total && total == 1500);
                 done_so_far = done;

@@ -9,6 +9,8 @@ pub mod image;
 mod objective;
 pub mod surface;
 mod template;
+#[cfg(test)]
+mod template_tests;
 
 pub use objective::{
     Objective, Pictures, bounding_sphere, d2_percent, reference_pictures, scene_of_edit_mesh,

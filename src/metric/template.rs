@@ -86,7 +86,7 @@ impl Template {
         }
         if self.corners.is_empty() {
             for (slot, normal) in mv.normals.iter_mut().zip(normals) {
-                slot.1 = *normal;
+                slot.1 = as_stored(*normal);
             }
         } else {
             self.derive_normals(&mut mv);
@@ -139,7 +139,7 @@ impl Objective {
         start.normals = if is_derived {
             affected.iter().map(|v| (v.0, DVec3::ZERO)).collect()
         } else if self.has_own_normals() {
-            free.iter().map(|f| (f.vertex.0, f.normal)).collect()
+            free.iter().map(|f| (f.vertex.0, as_stored(f.normal))).collect()
         } else {
             SmallVec::new()
         };
@@ -152,6 +152,11 @@ impl Objective {
         }
         Some(template)
     }
+}
+
+/// A normal as an attribute layer holds it, in single precision.
+fn as_stored(normal: DVec3) -> DVec3 {
+    normal.as_vec3().as_dvec3()
 }
 
 fn derived_corners(mesh: &EditMesh, mv: &Move) -> Vec<[DerivedCorner; 3]> {

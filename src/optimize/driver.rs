@@ -148,8 +148,6 @@ fn passes(run: &mut Run<'_>, sources: &mut Sources) -> Result<(), RenderError> {
             Pass::Teleports => teleport::pair(run)?,
             Pass::Edges => edges::iterate(run, sources)?,
         };
-        #[cfg(feature = "trace")]
-        eprintln!("{:?} {} {:.6}", allowed[best], run.evaluations() - before, 100.0 * reduction as f64 / run.first_energy as f64);
         let spent = (run.evaluations() - before).max(1);
         rates.iter_mut().for_each(|rate| *rate *= LONGING);
         rates[best] = reduction as f64 / spent as f64;

@@ -30,7 +30,7 @@ mod sweeps;
 mod teleport;
 mod trial;
 
-pub use alternate::{Shower, alternate};
+pub use alternate::{Shower, Turns, alternate};
 pub use driver::{OptimizeError, Optimizer, Outcome};
 pub use params::{Params, Solver, StoppedBy};
 pub use run::Memory;
