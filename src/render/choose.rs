@@ -40,7 +40,7 @@ pub struct Choice {
 /// well as `llvmpipe`.
 pub fn choose(choice: &str, scene: &Scene, reference: Reference) -> Result<Choice, RenderError> {
     match choice {
-        "cpu" => Ok(Choice::of(Box::new(Twin::new(scene, reference)))),
+        "cpu" => Ok(Choice::of(Box::new(Twin::new(scene, &reference)))),
         "auto" => Ok(fastest(scene, reference)),
         name => named(name, scene, reference),
     }
@@ -83,7 +83,7 @@ const NO_DRIVER: &str = "no Vulkan driver; Debian's package `mesa-vulkan-drivers
 /// Measures everything that is there. The twin always is, so there is always an answer.
 fn fastest(scene: &Scene, reference: Reference) -> Choice {
     let sample = sample_moves(scene);
-    let mut best = Choice::of(Box::new(Twin::new(scene, reference.clone())));
+    let mut best = Choice::of(Box::new(Twin::new(scene, &reference)));
     let mut best_rate = 0.0;
     if let Ok(rate) = measure(best.evaluator.as_mut(), scene, &sample) {
         best.figures.push((best.evaluator.name(), rate));

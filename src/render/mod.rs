@@ -9,11 +9,13 @@ mod device;
 mod evaluator;
 mod fragments;
 mod gpu;
+mod kernel;
+#[cfg(target_arch = "x86_64")]
+mod kernel_avx2;
 pub mod lattice;
 mod moves;
 mod raster;
 mod scene;
-mod simd;
 mod tiles;
 mod twin;
 pub mod view;

@@ -32,7 +32,8 @@ pub fn picture(scene: &Scene, view: usize) -> Vec<u8> {
     let n = (scene.lattice.size * scene.lattice.size) as usize;
     let mut nearest = vec![(u32::MAX, u32::MAX); n];
     let mut lum = vec![scene.params.background; n];
-    for_each_fragment(scene, view, &mut |pixel, f| {
+    for_each_fragment(scene, view, &mut |i, j, f| {
+        let pixel = (j * scene.lattice.size + i) as usize;
         let key = (u32::from(f.z), f.face);
         if key < nearest[pixel] {
             nearest[pixel] = key;
@@ -42,8 +43,8 @@ pub fn picture(scene: &Scene, view: usize) -> Vec<u8> {
     lum
 }
 
-/// Calls `on(pixel, fragment)` for every fragment of every triangle, triangles by ascending id.
-pub fn for_each_fragment(scene: &Scene, view: usize, on: &mut impl FnMut(usize, Fragment)) {
+/// Calls `on(i, j, fragment)` for every fragment of every triangle, triangles by ascending id.
+pub fn for_each_fragment(scene: &Scene, view: usize, on: &mut impl FnMut(i32, i32, Fragment)) {
     let lattice = &scene.lattice;
     let cull = scene.culls_front(view);
     for (id, face) in scene.faces.iter().enumerate() {
@@ -56,7 +57,7 @@ pub fn for_each_fragment(scene: &Scene, view: usize, on: &mut impl FnMut(usize, 
         let lum = scene.face_luminance(view, face);
         let Some(s) = lattice.setup(points, lum, cull) else { continue };
         for_each_pixel(&s, |i, j| {
-            on((j * lattice.size + i) as usize, fragment(&s, id as u32, i, j));
+            on(i, j, fragment(&s, id as u32, i, j));
         });
     }
 }

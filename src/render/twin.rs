@@ -2,26 +2,25 @@
 //!
 //! One move in one view: bound the pixels it can touch; if everything there is nearer than the
 //! move, stop (true of half the views: the surface's far side); raster the added triangles into a
-//! small buffer, eight pixels at a time; then compare, pixel by pixel, the nearest fragment that
-//! stays with the nearest that comes. A batch goes view by view, so that one view's fronts stay in
-//! cache while every move is judged in it.
+//! small buffer; then compare the nearest fragment that stays with the nearest that comes, both
+//! eight pixels at a time. A batch goes view by view, so that one view's fronts stay in cache while
+//! every move is judged in it.
 
 use rayon::prelude::*;
 
 use super::{
     evaluator::{Evaluator, Reference, RenderError},
-    fragments::{Cell, FragmentLists},
-    lattice::{LUM_BITS, PixelRect, Setup},
+    fragments::FragmentLists,
+    kernel,
+    lattice::{PixelRect, Setup},
     moves::{Move, Projected},
     raster,
     scene::Scene,
-    simd,
 };
 
 /// The native evaluator.
 pub struct Twin {
     views: Vec<ViewState>,
-    reference: Reference,
     energy: u64,
     /// Moves of the last batch in every picture; kept for its memory.
     projected: Vec<Projected>,
@@ -35,12 +34,15 @@ struct ViewState {
 
 impl Twin {
     /// Renders the scene and gets ready to judge moves.
-    pub fn new(scene: &Scene, reference: Reference) -> Self {
-        let view = |v| ViewState { lists: build_lists(scene, v), scratch: Scratch::default() };
+    pub fn new(scene: &Scene, reference: &Reference) -> Self {
+        let view = |v| ViewState {
+            lists: build_lists(scene, v, &reference.pictures[v]),
+            scratch: Scratch::default(),
+        };
         let views: Vec<_> = (0..scene.n_views()).into_par_iter().map(view).collect();
         let pictures: Vec<_> = views.iter().map(|v| v.lists.picture()).collect();
-        let energy = raster::energy(&reference, &pictures);
-        Self { views, reference, energy, projected: Vec::new() }
+        let energy = raster::energy(reference, &pictures);
+        Self { views, energy, projected: Vec::new() }
     }
 
     /// Brings the moves of a batch into every picture.
@@ -51,13 +53,10 @@ impl Twin {
     }
 }
 
-/// An id above every triangle's, for the background: slots are 32-bit, this one is never used.
-const NO_FACE: u32 = u32::MAX - 1;
-
-fn build_lists(scene: &Scene, view: usize) -> FragmentLists {
+fn build_lists(scene: &Scene, view: usize, reference: &[u8]) -> FragmentLists {
     let size = scene.lattice.size;
-    let mut lists = FragmentLists::new(size, scene.params.background, NO_FACE);
-    raster::for_each_fragment(scene, view, &mut |pixel, f| lists.insert(pixel, f));
+    let mut lists = FragmentLists::new(size, scene.params.background, reference);
+    raster::for_each_fragment(scene, view, &mut |i, j, f| lists.insert(i, j, f));
     lists.refresh_tiles(&PixelRect { x0: 0, y0: 0, x1: size - 1, y1: size - 1 });
     lists
 }
@@ -69,11 +68,11 @@ impl Evaluator for Twin {
 
     fn evaluate(&mut self, scene: &Scene, moves: &[Move]) -> Result<Vec<i64>, RenderError> {
         self.project(scene, moves);
-        let (projected, reference) = (&self.projected, &self.reference);
+        let projected = &self.projected;
         let by_view: Vec<Vec<i64>> = (self.views.par_iter_mut().enumerate())
             .map(|(view, state)| {
-                let mut judge = Judge::new(scene, view, state, reference);
-                moves.iter().zip(projected).map(|(mv, p)| judge.delta(mv, p)).collect()
+                let delta = |(mv, p)| view_delta(scene, mv, p, view, state);
+                moves.iter().zip(projected).map(delta).collect()
             })
             .collect();
         Ok((0..moves.len()).map(|m| by_view.iter().map(|v| v[m]).sum()).collect())
@@ -85,10 +84,10 @@ impl Evaluator for Twin {
             scene.faces.resize(added_slots, None);
         }
         self.project(scene, std::slice::from_ref(mv));
-        let (projected, reference, shown) = (&self.projected[0], &self.reference, &*scene);
+        let (projected, shown) = (&self.projected[0], &*scene);
         let delta = (self.views.par_iter_mut().enumerate().with_min_len(5))
             .map(|(view, state)| {
-                let delta = Judge::new(shown, view, state, reference).delta(mv, projected);
+                let delta = view_delta(shown, mv, projected, view, state);
                 update_view(shown, mv, projected, view, &mut state.lists);
                 delta
             })
@@ -119,13 +118,13 @@ fn update_view(
     if rect.is_empty() {
         return;
     }
-    let (size, cull) = (scene.lattice.size, scene.culls_front(view));
+    let cull = scene.culls_front(view);
     for &id in &mv.removed {
         let Some(face) = &scene.faces[id as usize] else { continue };
         let points = face.vertices.map(|v| scene.screen_points(v)[view]);
         // Where it was drawn does not depend on its luminance.
         if let Some(s) = scene.lattice.setup(points, [0; 3], cull) {
-            raster::for_each_pixel(&s, |i, j| lists.remove((j * size + i) as usize, id));
+            raster::for_each_pixel(&s, |i, j| lists.remove(i, j, id));
         }
     }
     for (k, added) in mv.added.iter().enumerate() {
@@ -133,7 +132,7 @@ fn update_view(
         let lum = projected.added_luminance(scene, mv, k, view);
         if let Some(s) = scene.lattice.setup(points, lum, cull) {
             raster::for_each_pixel(&s, |i, j| {
-                lists.insert((j * size + i) as usize, raster::fragment(&s, added.face, i, j));
+                lists.insert(i, j, raster::fragment(&s, added.face, i, j));
             });
         }
     }
@@ -144,112 +143,79 @@ fn update_view(
 #[derive(Default)]
 struct Scratch {
     setups: Vec<(u32, Setup)>,
-    /// `z << 16 | rank` of the nearest added fragment of each pixel of the rectangle.
-    nearest: Vec<u32>,
-    /// Pixels that the move may change.
-    touched: Vec<simd::Touched>,
-    /// `marks[face] == serial` for the triangles of the current move that go.
-    marks: Vec<u32>,
-    serial: u32,
+    kernel: kernel::Scratch,
 }
 
-/// Judges moves in one view.
-struct Judge<'a> {
-    scene: &'a Scene,
+/// The change of energy of one move in one view.
+fn view_delta(
+    scene: &Scene,
+    mv: &Move,
+    projected: &Projected,
+    view: usize,
+    state: &mut ViewState,
+) -> i64 {
+    let ViewState { lists, scratch } = state;
+    let judged = judged(scene, mv, projected, view, lists, &mut scratch.setups);
+    judged.map_or(0, |j| kernel::delta(&j, &mut scratch.kernel))
+}
+
+/// Sets up the triangles that come; `None` when the move cannot be seen in this view.
+fn judged<'a>(
+    scene: &Scene,
+    mv: &'a Move,
+    projected: &Projected,
     view: usize,
     lists: &'a FragmentLists,
-    picture: &'a [u8],
-    scratch: &'a mut Scratch,
+    setups: &'a mut Vec<(u32, Setup)>,
+) -> Option<kernel::Judged<'a>> {
+    let (rect, nearest_z) = projected.extent(&scene.lattice, view);
+    if rect.is_empty() || lists.bounds().hides(&rect, u32::from(nearest_z)) {
+        return None;
+    }
+    setups.clear();
+    for (k, added) in mv.added.iter().enumerate() {
+        let points = projected.added_points(k, view);
+        let lum = projected.added_luminance(scene, mv, k, view);
+        if let Some(setup) = scene.lattice.setup(points, lum, scene.culls_front(view)) {
+            setups.push((added.face, setup));
+        }
+    }
+    // Ranks follow ids, so that the lesser id wins a tie in depth.
+    setups.sort_unstable_by_key(|s| s.0);
+    debug_assert!(setups.len() <= kernel::MAX_ADDED);
+    Some(kernel::Judged { setups, removed: &mv.removed, rect, lists })
 }
 
-impl<'a> Judge<'a> {
-    fn new(
-        scene: &'a Scene,
-        view: usize,
-        state: &'a mut ViewState,
-        reference: &'a Reference,
-    ) -> Self {
-        let ViewState { lists, scratch } = state;
-        scratch.marks.resize(scene.faces.len(), 0);
-        Self { scene, view, lists, picture: &reference.pictures[view], scratch }
-    }
+#[cfg(test)]
+mod tests {
+    use super::super::{contract, raster::reference};
+    use super::*;
 
-    /// The change of energy of one move in this view.
-    fn delta(&mut self, mv: &Move, projected: &Projected) -> i64 {
-        let (scene, view) = (self.scene, self.view);
-        let (rect, nearest_z) = projected.extent(&scene.lattice, view);
-        if rect.is_empty() || self.lists.bounds().hides(&rect, u32::from(nearest_z)) {
-            return 0;
-        }
-        let scratch = &mut *self.scratch;
-        scratch.serial = scratch.serial.wrapping_add(1);
-        for f in &mv.removed {
-            scratch.marks[*f as usize] = scratch.serial;
-        }
-        scratch.setups.clear();
-        for (k, added) in mv.added.iter().enumerate() {
-            let points = projected.added_points(k, view);
-            let lum = projected.added_luminance(scene, mv, k, view);
-            if let Some(setup) = scene.lattice.setup(points, lum, scene.culls_front(view)) {
-                scratch.setups.push((added.face, setup));
+    /// The kernel that this machine uses, against the plain one, pixel kernels being the only part
+    /// of the twin that has two versions.
+    #[test]
+    fn both_kernels_agree() {
+        for look in contract::LOOKS {
+            let scene = contract::scene(9, look);
+            let mut twin = Twin::new(&scene, &reference(&scene));
+            let mut n_seen = 0;
+            for k in 0..60 {
+                let offset = glam::DVec3::new(0.05, -0.03, 0.01) * (k % 4) as f64;
+                let Some(mv) = contract::random_move(&scene, (k * 31, k), offset) else { continue };
+                twin.project(&scene, std::slice::from_ref(&mv));
+                for (view, state) in twin.views.iter_mut().enumerate() {
+                    let ViewState { lists, scratch } = state;
+                    let projected = &twin.projected[0];
+                    let Some(j) = judged(&scene, &mv, projected, view, lists, &mut scratch.setups)
+                    else {
+                        continue;
+                    };
+                    let plain = kernel::delta_plain(&j, &mut kernel::Scratch::default());
+                    assert_eq!(kernel::delta(&j, &mut scratch.kernel), plain);
+                    n_seen += u32::from(plain != 0);
+                }
             }
+            assert!(n_seen > 60, "only {n_seen} moves were seen");
         }
-        // Ranks follow ids, so that the lesser id wins a tie in depth.
-        scratch.setups.sort_unstable_by_key(|s| s.0);
-        let going = mv.removed.iter().fold(0, |bits, f| bits | 1 << (f & 31));
-        let coverage = simd::Coverage {
-            setups: &scratch.setups,
-            rect,
-            fronts: self.lists.fronts(),
-            size: scene.lattice.size,
-            going,
-        };
-        simd::touched(&coverage, &mut scratch.nearest, &mut scratch.touched);
-        self.resolve()
-    }
-
-    /// Compares what stays with what comes, pixel by pixel.
-    fn resolve(&self) -> i64 {
-        let (size, fronts) = (self.scene.lattice.size as u32, self.lists.fronts());
-        let mut sum = 0_i64;
-        for &(pixel, key) in &self.scratch.touched {
-            let front = fronts[pixel as usize];
-            let stays = self.stays(front.face);
-            if stays && (key == u32::MAX || key >> 16 > front.z()) {
-                continue;
-            }
-            let at = ((pixel % size) as i32, (pixel / size) as i32);
-            let lum = self.new_luminance(front, stays, key, at, pixel as usize);
-            let r = self.picture[pixel as usize];
-            let square = |l: u8| (i32::from(l) - i32::from(r)).pow(2);
-            sum += i64::from(square(lum) - square(front.lum()));
-        }
-        sum
-    }
-
-    /// The luminance of a pixel after the move.
-    #[inline(always)]
-    fn new_luminance(
-        &self,
-        front: Cell,
-        stays: bool,
-        key: u32,
-        (i, j): (i32, i32),
-        pixel: usize,
-    ) -> u8 {
-        let stay = if stays { front } else { self.lists.nearest_behind(pixel, |f| self.stays(f)) };
-        if key != u32::MAX {
-            let (face, setup) = &self.scratch.setups[(key & 0xffff) as usize];
-            if (key >> 16, *face) < (stay.z(), stay.face) {
-                return setup.lum.at(i, j, LUM_BITS) as u8;
-            }
-        }
-        stay.lum()
-    }
-
-    /// Whether a triangle survives the move (the background does).
-    #[inline(always)]
-    fn stays(&self, face: u32) -> bool {
-        self.scratch.marks.get(face as usize).is_none_or(|m| *m != self.scratch.serial)
     }
 }

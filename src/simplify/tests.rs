@@ -76,7 +76,7 @@ fn run(policy: Policy, target: usize, max_evaluations: u64) -> (Outcome, f64, u6
     let reference = reference_pictures(&original, &pictures);
     let mut mesh = EditMesh::new(original).unwrap();
     let scene = scene_of_edit_mesh(&mesh, &pictures);
-    let twin = Twin::new(&scene, reference);
+    let twin = Twin::new(&scene, &reference);
     let mut objective = Objective::new(&mesh, scene, Box::new(twin));
     let params = Params {
         policy,

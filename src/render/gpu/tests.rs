@@ -71,7 +71,7 @@ fn check_against_twin(look: Look, n: usize, sizes: &[usize], n_rounds: usize) {
     let Some(gpu) = open() else { return };
     let mut scene = contract::scene(n, look);
     let reference = raster::reference(&scene);
-    let mut twin = Twin::new(&scene, reference.clone());
+    let mut twin = Twin::new(&scene, &reference);
     let mut device = Device::new(gpu, &scene, reference).unwrap();
     let mut rng = TestRng::deterministic_rng(RngAlgorithm::ChaCha);
     for round in 0..n_rounds {
