@@ -263,14 +263,36 @@ mod tests {
         assert_eq!(legality(&fin, 0, 1), Legality::NonManifoldEdge);
         // The same three vertices twice, once each way round: a volume of nothing.
         assert_eq!(legality(&[[0, 1, 2], [0, 2, 1]], 0, 1), Legality::FoldedPair);
-        // A ring of three quads, a tube: edge 0-1 belongs to a hole with third vertex 2.
+        // A ring of three quads, a tube: edge 0-1 belongs to a hole with third vertex 2. Across a
+        // wall, 0-4, two borders would touch.
         let tube = [[0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4], [2, 0, 3], [2, 3, 5]];
-        assert_eq!(legality(&tube, 0, 1), Legality::LinkVertex);
+        assert_eq!(legality(&tube, 0, 1), Legality::ClosesHole);
+        assert_eq!(legality(&tube, 0, 4), Legality::BorderBridge);
+        // The waist of a longer tube: 0-1-2 is no triangle, and no hole either.
+        let mut longer = tube.to_vec();
+        longer.extend([[6, 7, 1], [6, 1, 0], [7, 8, 2], [7, 2, 1], [8, 6, 0], [8, 0, 2]]);
+        assert_eq!(legality(&longer, 0, 1), Legality::LinkVertex);
         // A tetrahedron whose edge 0-1 ends in a second sheet at vertex 0: more than four
         // vertices, but 2-3 is opposite to both ends.
         let mut pinched = TETRAHEDRON.to_vec();
         pinched.extend([[0, 4, 5], [0, 5, 6], [0, 6, 4], [4, 6, 5]]);
         assert_eq!(legality(&pinched, 0, 1), Legality::LinkEdge);
+    }
+
+    #[test]
+    fn a_collapse_closes_a_triangular_hole() {
+        let mesh = Mesh::from_parts(
+            (0..6).map(|i| DVec3::splat(f64::from(i))).collect(),
+            OCTAHEDRON[1..].to_vec(),
+        );
+        let mut mesh = EditMesh::new(mesh).unwrap();
+        let [a, b] = [VertexId(0), VertexId(1)];
+        assert!(!mesh.may_collapse(a, b, Topology::Preserve));
+        assert!(mesh.may_collapse(a, b, Topology::CloseHoles));
+        mesh.collapse(a, b, DVec3::ONE);
+        mesh.validate().unwrap();
+        assert_eq!(mesh.n_faces(), 6);
+        assert!((0..6).map(VertexId).all(|v| !mesh.is_used(v) || !mesh.is_border_vertex(v)));
     }
 
     #[test]

@@ -190,7 +190,7 @@ fn show(look: Look, pictures: &Pictures, original: &Mesh, mesh: &EditMesh) -> Ob
     } else {
         scene_of_edit_mesh(mesh, pictures)
     };
-    let twin = Twin::new(&scene, reference);
+    let twin = Twin::new(&scene, &reference);
     let objective = Objective::new(mesh, scene, Box::new(twin));
     if look.has_own_normals { objective.with_own_normals() } else { objective }
 }

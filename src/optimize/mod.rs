@@ -28,6 +28,8 @@ mod simplex;
 mod statistics;
 mod sweeps;
 mod teleport;
+#[cfg(test)]
+mod tests;
 mod trial;
 
 pub use alternate::{Shower, Turns, alternate};
