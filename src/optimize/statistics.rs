@@ -139,7 +139,9 @@ impl Statistics {
         let usual = own.t.mean() / best.t.mean().max(1.0) * best.x.mean();
         let share = best.frequency / (own.frequency + best.frequency).max(f64::MIN_POSITIVE);
         let doubt = std::f64::consts::SQRT_2 * inverse_erf(share) * own.x.deviation();
-        own.x.mean() > (usual - doubt).max(reduction_so_far as f64)
+        // With equality the best itself passes when it never varies, and all when nothing helps.
+        let has_brought = reduction_so_far as f64;
+        own.x.mean() >= usual - doubt && (own.x.mean() > has_brought || has_brought == 0.0)
     }
 
     /// The operation that takes off most energy for its evaluations.
