@@ -70,12 +70,11 @@ impl EditMesh {
         for &face in self.faces_around(v) {
             for k in (0..3).filter(|&k| self.vertices_of(face)[k] == v) {
                 let from = self.wedges_of(face)[k];
-                let known = renewed.iter().find(|(old, _)| *old == from);
-                let to = known.map(|(_, new)| *new).unwrap_or_else(|| {
-                    let to = self.append_copy(from, layer, value, record);
-                    renewed.push((from, to));
-                    to
-                });
+                let to = match renewed.iter().find(|(old, _)| *old == from) {
+                    Some((_, new)) => *new,
+                    None => self.append_copy(from, layer, value, record),
+                };
+                renewed.push((from, to));
                 record.rewedged.push(Rewedged { corner: Corner::new(face, k), from, to });
             }
         }

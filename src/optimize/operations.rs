@@ -60,8 +60,21 @@ pub const OPERATIONS: [Operation; 15] = [
 ];
 
 const NAMES: [&str; OPERATIONS.len()] = [
-    "vertex", "no-op 1", "no-op 2", "no-op 3", "swap 0", "swap 1", "swap 2", "swap 3", "split 1",
-    "split 2", "split 3", "collapse 0", "collapse 1", "collapse 2", "collapse 3",
+    "vertex",
+    "no-op 1",
+    "no-op 2",
+    "no-op 3",
+    "swap 0",
+    "swap 1",
+    "swap 2",
+    "swap 3",
+    "split 1",
+    "split 2",
+    "split 3",
+    "collapse 0",
+    "collapse 1",
+    "collapse 2",
+    "collapse 3",
 ];
 
 impl Operation {
@@ -221,11 +234,8 @@ impl Proposer<'_> {
     }
 
     fn at_rest(&self, vertices: &[VertexId]) -> Vec<Free> {
-        let free = |&v: &VertexId| Free {
-            vertex: v,
-            at: self.mesh.position(v),
-            normal: self.normal(v),
-        };
+        let free =
+            |&v: &VertexId| Free { vertex: v, at: self.mesh.position(v), normal: self.normal(v) };
         vertices.iter().map(free).collect()
     }
 
@@ -237,7 +247,13 @@ impl Proposer<'_> {
         }
     }
 
-    fn trial(&self, operation: Operation, edge: [VertexId; 2], change: Change<'_>, free: Vec<Free>) -> Option<Trial> {
+    fn trial(
+        &self,
+        operation: Operation,
+        edge: [VertexId; 2],
+        change: Change<'_>,
+        free: Vec<Free>,
+    ) -> Option<Trial> {
         let template = self.objective.template(self.mesh, change, &free)?;
         let has_normals = self.params.optimizes_normals && self.objective.has_own_normals();
         let start = (operation.kind == Kind::NoOp).then_some(0);

@@ -69,7 +69,7 @@ impl Plane {
     /// Rows become columns.
     fn transposed(&self) -> Self {
         let n = self.size;
-        let rows = if n == 0 { 0 } else { self.values.len() / n };
+        let rows = self.values.len().checked_div(n).unwrap_or(0);
         let at = |k: usize| self.values[k % rows * n + k / rows];
         Self { size: rows, values: (0..self.values.len()).map(at).collect() }
     }
@@ -107,7 +107,7 @@ fn expand(plane: &Plane, size: usize) -> Plane {
 fn between(row: &[f32], i: usize) -> f32 {
     let at = |k: usize| row[k.min(row.len() - 1)];
     let k = i / 2;
-    if i % 2 == 0 {
+    if i.is_multiple_of(2) {
         2.0 * (KERNEL[0] * at(k.saturating_sub(1)) + KERNEL[2] * at(k) + KERNEL[4] * at(k + 1))
     } else {
         2.0 * (KERNEL[1] * at(k) + KERNEL[3] * at(k + 1))

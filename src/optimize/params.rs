@@ -13,6 +13,7 @@ pub enum Solver {
 
 /// Parameters of image-driven optimization.
 #[derive(Clone, Debug, PartialEq)]
+#[expect(clippy::struct_excessive_bools, reason = "independent switches of one algorithm")]
 pub struct Params {
     /// Chooses the random edges and the order of sweeps.
     pub seed: u64,

@@ -160,7 +160,8 @@ impl Run<'_> {
         if self.stopped_by.is_none() {
             if most > 0 && self.evaluations() >= most {
                 self.stopped_by = Some(StoppedBy::Evaluations);
-            } else if (self.objective.energy() as f64) <= self.params.until * self.first_energy as f64
+            } else if (self.objective.energy() as f64)
+                <= self.params.until * self.first_energy as f64
             {
                 self.stopped_by = Some(StoppedBy::Energy);
             }
@@ -275,12 +276,7 @@ impl Run<'_> {
     }
 
     /// Makes the edits of a proposal in the mesh; the pictures show them already.
-    fn perform(
-        &mut self,
-        proposal: &Proposal,
-        places: &[DVec3],
-        normals: &[DVec3],
-    ) -> Vec<Done> {
+    fn perform(&mut self, proposal: &Proposal, places: &[DVec3], normals: &[DVec3]) -> Vec<Done> {
         let mut done = Vec::new();
         let mut placed = 0;
         match (&proposal.plan, places.first()) {

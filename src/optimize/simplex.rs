@@ -182,12 +182,11 @@ impl Simplex {
         let worst = self.worst_index();
         let next_worst = (0..self.values.len()).filter(|&i| i != worst).map(|i| self.values[i]);
         if value < self.values[self.best_index()] {
-            match ahead.first() {
-                Some(&expanded) => self.take_farther(value, expanded),
-                None => {
-                    self.asked = vec![self.along(EXPAND)];
-                    self.phase = Phase::Expand(value);
-                }
+            if let Some(&expanded) = ahead.first() {
+                self.take_farther(value, expanded);
+            } else {
+                self.asked = vec![self.along(EXPAND)];
+                self.phase = Phase::Expand(value);
             }
         } else if next_worst.max().is_some_and(|next| value < next) {
             self.replace_worst(asked[0].clone(), value, 0);
@@ -199,12 +198,11 @@ impl Simplex {
             if is_outside {
                 self.replace_worst(asked[0].clone(), value, 0);
             }
-            match ahead.get(if is_outside { 1 } else { 2 }) {
-                Some(&contracted) => self.contracted(point, contracted),
-                None => {
-                    self.asked = vec![point];
-                    self.phase = Phase::Contract;
-                }
+            if let Some(&contracted) = ahead.get(if is_outside { 1 } else { 2 }) {
+                self.contracted(point, contracted);
+            } else {
+                self.asked = vec![point];
+                self.phase = Phase::Contract;
             }
         }
     }
@@ -263,7 +261,8 @@ mod tests {
     }
 
     fn bowl(p: &[f64]) -> i64 {
-        let square: f64 = p.iter().enumerate().map(|(i, x)| (i + 1) as f64 * (x - 1.0).powi(2)).sum();
+        let square: f64 =
+            p.iter().enumerate().map(|(i, x)| (i + 1) as f64 * (x - 1.0).powi(2)).sum();
         (square * 1e6) as i64
     }
 

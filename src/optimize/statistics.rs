@@ -157,11 +157,7 @@ fn inverse_erf(x: f64) -> f64 {
     let x = x.clamp(0.0, 0.999_98);
     let w = -libm::log((1.0 - x) * (1.0 + x));
     let horner = |w: f64, c: &[f64]| c.iter().fold(0.0, |sum, c| sum * w + c);
-    if w < 5.0 {
-        x * horner(w - 2.5, &CENTRAL)
-    } else {
-        x * horner(w.sqrt() - 3.0, &TAIL)
-    }
+    if w < 5.0 { x * horner(w - 2.5, &CENTRAL) } else { x * horner(w.sqrt() - 3.0, &TAIL) }
 }
 
 const CENTRAL: [f64; 9] = [

@@ -3,11 +3,7 @@
 
 use glam::DVec3;
 
-use crate::{
-    memoryless,
-    mesh::VertexId,
-    render::RenderError,
-};
+use crate::{memoryless, mesh::VertexId, render::RenderError};
 
 use super::{
     operations::{Kind, Operation, Proposal},
