@@ -12,6 +12,7 @@
 //! - [`render`]: views, rasters and the move evaluator, in WGSL and in Rust
 //! - [`metric`]: image differences and surface distance
 //! - [`simplify`]: image-driven simplification (Lindstrom & Turk 2000)
+//! - [`optimize`]: image-driven optimization at a fixed number of vertices (the same)
 //! - [`compare`]: off-line evaluation, pictures and plots
 //!
 //! And jobs, which know nothing of geometry: [`jobs`] (specification, states, leases, events,
@@ -25,6 +26,7 @@ pub mod jobs;
 pub mod memoryless;
 pub mod mesh;
 pub mod metric;
+pub mod optimize;
 pub mod progressive;
 pub mod render;
 pub mod service;

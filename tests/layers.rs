@@ -14,7 +14,7 @@ use std::{
 };
 
 /// Module → modules of this crate that it may import (itself always).
-const MAY_IMPORT: [(&str, &[&str]); 15] = [
+const MAY_IMPORT: [(&str, &[&str]); 16] = [
     ("mesh", &[]),
     ("io", &["mesh"]),
     ("progressive", &["mesh"]),
@@ -22,6 +22,7 @@ const MAY_IMPORT: [(&str, &[&str]); 15] = [
     ("render", &[]),
     ("metric", &["mesh", "render"]),
     ("simplify", &["mesh", "memoryless", "metric", "render"]),
+    ("optimize", &["mesh", "memoryless", "metric", "render"]),
     ("compare", &["mesh", "render", "metric"]),
     ("jobs", &[]),
     (
@@ -35,6 +36,7 @@ const MAY_IMPORT: [(&str, &[&str]); 15] = [
             "render",
             "metric",
             "simplify",
+            "optimize",
             "compare",
             "service",
         ],
@@ -53,6 +55,7 @@ const MAY_IMPORT: [(&str, &[&str]); 15] = [
             "render",
             "metric",
             "simplify",
+            "optimize",
             "compare",
             "worker",
             "service",

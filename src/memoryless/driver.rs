@@ -147,7 +147,8 @@ impl<'a> Run<'a> {
             }
             let collapse = self.collapse(edge, to);
             self.bring_back(collapse.keep);
-            if on(Step::Edit(&collapse)).is_break() || reporter.report(self, on).is_break() {
+            if on(Step::Edit((&collapse).into())).is_break() || reporter.report(self, on).is_break()
+            {
                 return StoppedBy::Caller;
             }
         }

@@ -6,7 +6,9 @@ use glam::DVec3;
 use proptest::prelude::*;
 
 use super::*;
-use crate::mesh::{Collapse, EdgeTable, EditMesh, Mesh, Stage, Step, Topology, VertexId, shapes};
+use crate::mesh::{
+    Collapse, EdgeTable, Edit, EditMesh, Mesh, Stage, Step, Topology, VertexId, shapes,
+};
 
 /// Simplifies a mesh and hands back what is left of it.
 fn run(mesh: &Mesh, target: u32, params: &Params) -> (EditMesh, Outcome) {
@@ -218,7 +220,8 @@ fn edits_progress_and_samples_reach_the_caller_who_may_stop() {
     let (mut done_so_far, mut n_samples) = (0, 0);
     let outcome = simplify(&mut mesh, 100, &Params::default(), &mut |step| {
         match step {
-            Step::Edit(collapse) => edits.push(collapse.clone()),
+            Step::Edit(Edit::Collapse(collapse)) => edits.push(collapse.clone()),
+            other @ (Step::Edit(_) | Step::Moves(_)) => panic!("{other:?}"),
             Step::Progress { done, total } => {
                 assert!(done > done_so_far && done <= total && total == 1500);
                 done_so_far = done;

@@ -21,7 +21,7 @@ impl EditMesh {
     /// [`Self::legality`]). Two vertices without a common edge are joined.
     pub fn collapse(&mut self, keep: VertexId, drop: VertexId, to: DVec3) -> Collapse {
         let record = self.plan_collapse(keep, drop, to);
-        self.redo(&record);
+        self.recollapse(&record);
         record
     }
 
@@ -78,7 +78,7 @@ impl EditMesh {
     }
 
     /// Applies a collapse that was planned, or undone, in exactly this state.
-    pub fn redo(&mut self, record: &Collapse) {
+    pub fn recollapse(&mut self, record: &Collapse) {
         let (keep, drop) = (record.keep, record.drop);
         for removed in &record.removed {
             self.alive[removed.face.index()] = false;
@@ -103,7 +103,7 @@ impl EditMesh {
     }
 
     /// Takes back the last edit, a collapse: the state is bit-equal to the one before it.
-    pub fn undo(&mut self, record: &Collapse) {
+    pub fn uncollapse(&mut self, record: &Collapse) {
         let (keep, drop) = (record.keep, record.drop);
         for r in &record.rewedged {
             self.set_wedge(r.corner, r.from);

@@ -112,3 +112,54 @@ pub struct Swap {
     /// Their wedges after.
     pub wedges_to: [WedgeId; 2],
 }
+
+/// The displacement of a vertex. Redo: `vertex` moves to `to`. Undo: back to `from`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Displacement {
+    /// The vertex.
+    pub vertex: VertexId,
+    /// Where it was.
+    pub from: DVec3,
+    /// Where it is now.
+    pub to: DVec3,
+}
+
+/// New attribute values for corners. Wedges are append-only, so the corners get new wedges.
+///
+/// Redo: `new_wedges` are appended, corners in `rewedged` change wedge. Undo: the reverse, as the
+/// last edit.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Revalue {
+    /// Corners that changed wedge, ascending.
+    pub rewedged: SmallVec<[Rewedged; 8]>,
+    /// The first id of the wedges that this edit appended.
+    pub first_new_wedge: WedgeId,
+    /// Their values: wedge after wedge, all layers of a wedge in layer order.
+    pub new_wedges: Vec<f32>,
+}
+
+/// Any local edit, by reference to its record.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Edit<'a> {
+    /// Two vertices became one.
+    Collapse(&'a Collapse),
+    /// An edge got a vertex in its middle.
+    Split(&'a Split),
+    /// An edge was turned.
+    Swap(&'a Swap),
+    /// A vertex moved.
+    Displacement(&'a Displacement),
+    /// Corners got new attribute values.
+    Revalue(&'a Revalue),
+}
+
+macro_rules! edit_from {
+    ($($kind:ident),*) => {$(
+        impl<'a> From<&'a $kind> for Edit<'a> {
+            fn from(record: &'a $kind) -> Self {
+                Self::$kind(record)
+            }
+        }
+    )*};
+}
+edit_from!(Collapse, Split, Swap, Displacement, Revalue);

@@ -5,7 +5,7 @@
 //!
 //! Knows nothing of geometry: flips are the caller's to judge.
 
-use super::edit_mesh::EditMesh;
+use super::edit_mesh::{EditMesh, Ring};
 use super::model::VertexId;
 
 /// What stands against collapsing an edge, or that nothing does.
@@ -27,6 +27,8 @@ pub enum Legality {
     TooSmall,
     /// An edge opposite to both ends: two triangles would fall onto each other.
     LinkEdge,
+    /// The edge is a side of a triangular hole, and nothing else is amiss: it closes.
+    ClosesHole,
 }
 
 /// Whether an edit must keep the topology.
@@ -35,6 +37,8 @@ pub enum Topology {
     /// Only collapses whose [`Legality`] is `Legal`.
     #[default]
     Preserve,
+    /// These, and those that close a triangular hole.
+    CloseHoles,
     /// Any edge that exists.
     Free,
 }
@@ -44,6 +48,7 @@ impl Topology {
     pub fn permits(self, legality: Legality) -> bool {
         match self {
             Self::Preserve => legality == Legality::Legal,
+            Self::CloseHoles => matches!(legality, Legality::Legal | Legality::ClosesHole),
             Self::Free => legality != Legality::NoEdge,
         }
     }
@@ -61,6 +66,8 @@ struct Facts {
     n_border_ends: usize,
     /// Vertices adjacent to an end, the ends included.
     n_vertices: usize,
+    /// Vertices that form a hole of three edges with the edge.
+    n_holes: usize,
     /// Whether each end has a triangle with both apexes of an interior edge.
     apexes_joined_twice: bool,
 }
@@ -69,14 +76,15 @@ struct Facts {
 type Test = fn(&Facts) -> bool;
 
 /// The obstacles; the first that is present decides.
-const OBSTACLES: [(Legality, Test); 7] = [
+const OBSTACLES: [(Legality, Test); 8] = [
     (Legality::NoEdge, |f| f.n_faces == 0),
     (Legality::NonManifoldEdge, |f| f.n_faces > 2),
     (Legality::FoldedPair, |f| f.n_apexes < f.n_faces),
-    (Legality::LinkVertex, |f| f.n_common > f.n_apexes),
+    (Legality::LinkVertex, |f| f.n_common > f.n_apexes + f.n_holes.min(1)),
     (Legality::BorderBridge, |f| f.n_border_ends == 2 && f.n_faces == 2),
     (Legality::TooSmall, |f| f.n_vertices <= if f.n_border_ends == 0 { 4 } else { 3 }),
     (Legality::LinkEdge, |f| f.apexes_joined_twice),
+    (Legality::ClosesHole, |f| f.n_holes > 0),
 ];
 
 impl EditMesh {
@@ -93,7 +101,7 @@ impl EditMesh {
     /// Whether collapsing the edge (a, b) is allowed under the given switch.
     pub fn may_collapse(&self, a: VertexId, b: VertexId, topology: Topology) -> bool {
         match topology {
-            Topology::Preserve => self.legality(a, b) == Legality::Legal,
+            Topology::Preserve | Topology::CloseHoles => topology.permits(self.legality(a, b)),
             Topology::Free => !self.edge_faces(a, b).is_empty(),
         }
     }
@@ -146,6 +154,7 @@ impl EditMesh {
             n_faces: faces.len(),
             n_apexes: apexes.len(),
             n_common,
+            n_holes: if faces.len() == 1 { self.n_holes_at([a, b], &rings, &apexes) } else { 0 },
             n_border_ends: rings.iter().filter(|ring| ring.is_border).count(),
             n_vertices: rings[0].vertices.len() + rings[1].vertices.len() - n_common,
             apexes_joined_twice: match apexes[..] {
@@ -153,6 +162,17 @@ impl EditMesh {
                 _ => false,
             },
         }
+    }
+
+    /// Common neighbours, no apexes, whose edges to both ends are boundaries as well.
+    fn n_holes_at(&self, ends: [VertexId; 2], rings: &[Ring; 2], apexes: &[VertexId]) -> usize {
+        let [of_a, of_b] = rings;
+        let is_hole = |v: &&VertexId| {
+            of_b.vertices.contains(v)
+                && !apexes.contains(v)
+                && ends.iter().all(|&end| self.is_boundary_edge(end, **v))
+        };
+        of_a.vertices.iter().filter(is_hole).count()
     }
 
     /// Whether some living triangle has these three vertices.
@@ -243,14 +263,36 @@ mod tests {
         assert_eq!(legality(&fin, 0, 1), Legality::NonManifoldEdge);
         // The same three vertices twice, once each way round: a volume of nothing.
         assert_eq!(legality(&[[0, 1, 2], [0, 2, 1]], 0, 1), Legality::FoldedPair);
-        // A ring of three quads, a tube: edge 0-1 belongs to a hole with third vertex 2.
+        // A ring of three quads, a tube: edge 0-1 belongs to a hole with third vertex 2. Across a
+        // wall, 0-4, two borders would touch.
         let tube = [[0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4], [2, 0, 3], [2, 3, 5]];
-        assert_eq!(legality(&tube, 0, 1), Legality::LinkVertex);
+        assert_eq!(legality(&tube, 0, 1), Legality::ClosesHole);
+        assert_eq!(legality(&tube, 0, 4), Legality::BorderBridge);
+        // The waist of a longer tube: 0-1-2 is no triangle, and no hole either.
+        let mut longer = tube.to_vec();
+        longer.extend([[6, 7, 1], [6, 1, 0], [7, 8, 2], [7, 2, 1], [8, 6, 0], [8, 0, 2]]);
+        assert_eq!(legality(&longer, 0, 1), Legality::LinkVertex);
         // A tetrahedron whose edge 0-1 ends in a second sheet at vertex 0: more than four
         // vertices, but 2-3 is opposite to both ends.
         let mut pinched = TETRAHEDRON.to_vec();
         pinched.extend([[0, 4, 5], [0, 5, 6], [0, 6, 4], [4, 6, 5]]);
         assert_eq!(legality(&pinched, 0, 1), Legality::LinkEdge);
+    }
+
+    #[test]
+    fn a_collapse_closes_a_triangular_hole() {
+        let mesh = Mesh::from_parts(
+            (0..6).map(|i| DVec3::splat(f64::from(i))).collect(),
+            OCTAHEDRON[1..].to_vec(),
+        );
+        let mut mesh = EditMesh::new(mesh).unwrap();
+        let [a, b] = [VertexId(0), VertexId(1)];
+        assert!(!mesh.may_collapse(a, b, Topology::Preserve));
+        assert!(mesh.may_collapse(a, b, Topology::CloseHoles));
+        mesh.collapse(a, b, DVec3::ONE);
+        mesh.validate().unwrap();
+        assert_eq!(mesh.n_faces(), 6);
+        assert!((0..6).map(VertexId).all(|v| !mesh.is_used(v) || !mesh.is_border_vertex(v)));
     }
 
     #[test]

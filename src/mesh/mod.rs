@@ -11,6 +11,7 @@ mod legality;
 mod lists;
 mod model;
 mod refine;
+mod revise;
 pub mod shapes;
 mod snapshot;
 mod step;
@@ -19,7 +20,9 @@ mod tests;
 mod wedges;
 
 pub use edges::{EdgeChange, EdgeTable};
-pub use edit::{Collapse, RemovedFace, Rewedged, Split, SplitFace, Swap};
+pub use edit::{
+    Collapse, Displacement, Edit, RemovedFace, Revalue, Rewedged, Split, SplitFace, Swap,
+};
 pub use edit_mesh::EditMesh;
 pub use error::{MAX_FACES, MeshError, Violation};
 pub use legality::{Legality, Topology};
@@ -27,4 +30,4 @@ pub use model::{
     AttributeLayer, Corner, EdgeId, FaceId, Material, Mesh, Semantic, VertexId, WedgeId,
 };
 pub use snapshot::Snapshot;
-pub use step::{Sample, Stage, Step};
+pub use step::{MoveCount, Sample, Stage, Step};

@@ -22,7 +22,8 @@ impl EditMesh {
         Some(record)
     }
 
-    fn plan_split(&self, a: VertexId, b: VertexId, at: DVec3) -> Option<Split> {
+    /// What splitting the edge (a, b) would do, without doing it.
+    pub fn plan_split(&self, a: VertexId, b: VertexId, at: DVec3) -> Option<Split> {
         let faces = self.edge_faces(a, b);
         let first_new_wedge = self.next_wedge();
         let mut pairs: SmallVec<[Pair; 2]> = SmallVec::new();
@@ -128,7 +129,8 @@ impl EditMesh {
         Some(record)
     }
 
-    fn plan_swap(&self, a: VertexId, b: VertexId) -> Option<Swap> {
+    /// What [`Self::swap`] would do, without doing it.
+    pub fn plan_swap(&self, a: VertexId, b: VertexId) -> Option<Swap> {
         let [left, right] = self.edge_faces(a, b).into_inner().ok()?;
         // `left` is the triangle that runs from a to b.
         let runs_ab = |f| next(self.vertices_of(f), a) == b;

@@ -3,7 +3,7 @@
 //! Every stage takes `&mut dyn FnMut(Step<'_>) -> ControlFlow<()>`: one callback for edits,
 //! progress and cancellation. `Break` ends the stage after the step it was told of.
 
-use super::edit::Collapse;
+use super::edit::Edit;
 
 /// The stages of a job, in the order they run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -43,13 +43,30 @@ pub struct Sample {
     pub d2: Option<f64>,
 }
 
+/// What a kind of move has done in a stage so far.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MoveCount {
+    /// The kind.
+    pub name: &'static str,
+    /// Times it was tried.
+    pub tried: u64,
+    /// Times it was accepted.
+    pub accepted: u64,
+    /// Energy evaluations spent on it.
+    pub evaluations: u64,
+    /// Energy that it has taken off.
+    pub reduction: i64,
+}
+
 /// One step of a stage.
 #[derive(Debug)]
 pub enum Step<'a> {
     /// An edit was applied to the mesh.
-    Edit(&'a Collapse),
+    Edit(Edit<'a>),
     /// A point of the energy curve.
     Sample(Sample),
+    /// What the kinds of moves have done, right after a sample.
+    Moves(&'a [MoveCount]),
     /// `done` of `total` units of work; units are the stage's own.
     Progress {
         /// Units done.

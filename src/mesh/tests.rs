@@ -96,6 +96,27 @@ fn a_swap_turns_the_diagonal_and_a_seam_forbids_it() {
 }
 
 #[test]
+fn new_values_make_new_wedges_and_leave_the_old_ones() {
+    let positions = vec![DVec3::ZERO, DVec3::X, DVec3::ONE, DVec3::Y];
+    let square = Mesh::from_parts(positions, vec![[0, 1, 2], [0, 2, 3]]);
+    let mut mesh = EditMesh::new(with_wedges(square)).unwrap();
+    let before = mesh.mesh().layers.clone();
+    let record = mesh.revalue(Semantic::TexCoord(0), &[(VertexId(2), [0.5, 0.25])]).unwrap();
+    mesh.validate().unwrap();
+    // The two triangles have wedges of their own at vertex 2, so there are two new ones.
+    assert_eq!(record.rewedged.len(), 2);
+    for (layer, old) in mesh.mesh().layers.iter().zip(&before) {
+        assert!(layer.values.starts_with(&old.values));
+        assert_eq!(layer.values.len(), old.values.len() + 2 * old.width);
+    }
+    for r in &record.rewedged {
+        assert_eq!(mesh.mesh().layers[1].get(r.to), [0.5, 0.25]);
+        assert_eq!(mesh.mesh().layers[0].get(r.to), before[0].get(r.from));
+    }
+    assert!(mesh.revalue(Semantic::Color(0), &[(VertexId(2), [0.0; 4])]).is_none());
+}
+
+#[test]
 fn faulty_meshes_are_refused_with_the_place() {
     let bad = |positions, faces| EditMesh::new(Mesh::from_parts(positions, faces)).err();
     assert_eq!(
@@ -137,6 +158,20 @@ enum Done {
     Collapse(Collapse),
     Split(Split),
     Swap(Swap),
+    Displacement(Displacement),
+    Revalue(Revalue),
+}
+
+impl Done {
+    fn edit(&self) -> Edit<'_> {
+        match self {
+            Self::Collapse(record) => record.into(),
+            Self::Split(record) => record.into(),
+            Self::Swap(record) => record.into(),
+            Self::Displacement(record) => record.into(),
+            Self::Revalue(record) => record.into(),
+        }
+    }
 }
 
 /// Does the edit that three random numbers choose, on any existing edge; none if it is refused.
@@ -145,18 +180,13 @@ fn edit(mesh: &mut EditMesh, [what, which, place]: [u32; 3]) -> Option<Done> {
     let edge = EdgeId(which % (edges.n_slots() as u32).max(1));
     let [a, b] = (edges.n_slots() > 0).then(|| edges.ends(edge))?;
     let at = mesh.position(a).lerp(mesh.position(b), f64::from(place % 8) / 7.0) + DVec3::Z;
-    match what % 4 {
+    let normal = [(a, at.as_vec3().to_array()), (b, [0.0, 2.0, 0.0])];
+    match what % 6 {
         0 => mesh.split(a, b, at).map(Done::Split),
         1 => mesh.swap(a, b).map(Done::Swap),
+        3 => Some(Done::Displacement(mesh.displace(a, at))),
+        4 => mesh.revalue(Semantic::Normal, &normal).map(Done::Revalue),
         _ => Some(Done::Collapse(mesh.collapse(a, b, at))),
-    }
-}
-
-fn take_back(mesh: &mut EditMesh, done: &Done) {
-    match done {
-        Done::Collapse(record) => mesh.undo(record),
-        Done::Split(record) => mesh.unsplit(record),
-        Done::Swap(record) => mesh.unswap(record),
     }
 }
 
@@ -200,19 +230,19 @@ proptest! {
         prop_assert!(mesh.snapshot().check().is_ok());
         while let Some(last) = done.pop() {
             prop_assert_eq!(&state(&mesh), &states.pop().unwrap());
-            take_back(&mut mesh, &last);
+            mesh.undo(last.edit());
             mesh.validate().unwrap();
         }
         prop_assert_eq!(&state(&mesh), &states[0]);
     }
 
     #[test]
-    fn redo_repeats_a_collapse_exactly(mesh in any_mesh(), choice in any::<[u32; 2]>()) {
+    fn redo_repeats_an_edit_exactly(mesh in any_mesh(), choice in any::<[u32; 3]>()) {
         let mut mesh = EditMesh::new(mesh).unwrap();
-        if let Some(Done::Collapse(record)) = edit(&mut mesh, [2, choice[0], choice[1]]) {
+        if let Some(done) = edit(&mut mesh, choice) {
             let after = state(&mesh);
-            mesh.undo(&record);
-            mesh.redo(&record);
+            mesh.undo(done.edit());
+            mesh.redo(done.edit());
             prop_assert_eq!(state(&mesh), after);
         }
     }

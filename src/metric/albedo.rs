@@ -38,8 +38,9 @@ impl Albedo {
         albedo
     }
 
-    /// Takes in wedges that were appended since.
+    /// Takes in wedges that were appended since, and forgets those that an undo removed.
     pub fn extend(&mut self, mesh: &Mesh) {
+        self.wedges.truncate(mesh.n_wedges());
         if let Some(layer) = mesh.layer(Semantic::Color(0)) {
             let known = self.wedges.len() * layer.width;
             let rest = layer.values.get(known..).unwrap_or_default();
@@ -63,11 +64,24 @@ impl Albedo {
         }
         for r in plan.rewedged.iter().filter(|r| r.corner.face() == face) {
             let nth = (r.to.0 - plan.first_new_wedge.0) as usize;
-            if let Some(colour) = new_wedge_colour(&mesh.mesh().layers, &plan.new_wedges, nth) {
-                albedo[r.corner.k()] = self.byte(luminance(colour), mesh.mesh(), face);
+            if let Some(byte) = self.of_new_wedge(mesh, &plan.new_wedges, nth, face) {
+                albedo[r.corner.k()] = byte;
             }
         }
         albedo
+    }
+
+    /// Albedo at a corner of `face` whose wedge is the `nth` of `values`, the wedges that a
+    /// planned edit appends; `None` when the mesh has no colours.
+    pub fn of_new_wedge(
+        &self,
+        mesh: &EditMesh,
+        values: &[f32],
+        nth: usize,
+        face: FaceId,
+    ) -> Option<u8> {
+        let colour = new_wedge_colour(&mesh.mesh().layers, values, nth)?;
+        Some(self.byte(luminance(colour), mesh.mesh(), face))
     }
 
     fn byte(&self, vertex_luminance: f32, mesh: &Mesh, face: FaceId) -> u8 {

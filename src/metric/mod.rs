@@ -8,7 +8,12 @@ mod bvh;
 pub mod image;
 mod objective;
 pub mod surface;
+mod template;
+#[cfg(test)]
+mod template_tests;
 
 pub use objective::{
     Objective, Pictures, bounding_sphere, d2_percent, reference_pictures, scene_of_edit_mesh,
+    scene_with_normals, stored_normal, with_vertex_normals,
 };
+pub use template::{Change, Free, Template};

@@ -5,10 +5,10 @@
 //! triangles at both ends of the edge (T = ⌈⌈⌊e⌋⌉⌉); smooth shading also those of the ring, whose
 //! vertex normals change (Lindstrom & Turk 2000, section 5).
 
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 
 use crate::{
-    mesh::{Collapse, EditMesh, FaceId, Mesh, VertexId},
+    mesh::{AttributeLayer, Collapse, EditMesh, FaceId, Mesh, Semantic, VertexId},
     render::{
         AddedFace, Evaluator, MAX_MOVE_VERTICES, Move, Reference, RenderError, RenderParams, Scene,
         SceneFace, Shading, reference,
@@ -23,6 +23,8 @@ pub struct Objective {
     scene: Scene,
     evaluator: Box<dyn Evaluator>,
     albedo: Albedo,
+    reference: Option<Reference>,
+    has_own_normals: bool,
     evaluations: u64,
 }
 
@@ -33,6 +35,38 @@ pub struct Pictures {
     pub params: RenderParams,
     /// From where.
     pub views: Vec<View>,
+}
+
+impl Pictures {
+    /// The same cameras, all turned about the centre of the model by the same rotation: number
+    /// `turn` of a sequence that covers the rotations evenly; number 0 is none at all.
+    #[must_use]
+    pub fn turned(&self, center: DVec3, turn: u64) -> Self {
+        let rotation = nth_rotation(turn);
+        let view = |v: &View| {
+            let mut v = *v;
+            v.eye = center + rotation * (v.eye - center);
+            for axis in [&mut v.right, &mut v.up, &mut v.back, &mut v.to_light] {
+                *axis = rotation * *axis;
+            }
+            v
+        };
+        Self { params: self.params.clone(), views: self.views.iter().map(view).collect() }
+    }
+}
+
+/// Uniform rotations (Shoemake 1992) from an additive recurrence in three dimensions.
+fn nth_rotation(n: u64) -> DQuat {
+    if n == 0 {
+        return DQuat::IDENTITY;
+    }
+    let part = |step: f64| (0.5 + n as f64 * step).fract();
+    let [u, v, w] =
+        [0.819_172_513_396_164_4, 0.671_043_606_703_789_3, 0.549_700_477_901_970_3].map(part);
+    let (sin_v, cos_v) = libm::sincos(std::f64::consts::TAU * v);
+    let (sin_w, cos_w) = libm::sincos(std::f64::consts::TAU * w);
+    let (p, q) = ((1.0 - u).sqrt(), u.sqrt());
+    DQuat::from_xyzw(p * sin_v, p * cos_v, q * sin_w, q * cos_w)
 }
 
 /// Renders the original: once per job.
@@ -52,6 +86,58 @@ pub fn bounding_sphere(mesh: &Mesh) -> BoundingSphere {
 /// The current state of an editable mesh as a scene, to build an evaluator from.
 pub fn scene_of_edit_mesh(mesh: &EditMesh, pictures: &Pictures) -> Scene {
     scene_of(mesh.mesh(), &Albedo::of(mesh.mesh()), pictures, |f| mesh.is_alive(FaceId(f)))
+}
+
+/// The same as [`scene_of_edit_mesh`] for smooth shading with the normals that the mesh has as an
+/// attribute: the mean over the corners at each vertex. They need not be of unit length.
+pub fn scene_with_normals(mesh: &EditMesh, pictures: &Pictures) -> Scene {
+    let mut scene = scene_of_edit_mesh(mesh, pictures);
+    let normals = (0..mesh.n_vertex_slots() as u32).map(VertexId).filter(|&v| mesh.is_used(v));
+    let normals = normals.filter_map(|v| Some((v.0, stored_normal(mesh, v)?))).collect();
+    scene.apply(&Move { normals, ..Move::default() });
+    scene
+}
+
+/// The mean of the normals stored at the corners of a vertex.
+pub fn stored_normal(mesh: &EditMesh, vertex: VertexId) -> Option<DVec3> {
+    let layer = mesh.mesh().layer(Semantic::Normal)?;
+    let faces = mesh.faces_around(vertex);
+    let mut sum = DVec3::ZERO;
+    for &face in faces {
+        let at = mesh.vertices_of(face).iter().position(|&v| v == vertex)?;
+        match layer.get(mesh.wedges_of(face)[at]) {
+            &[x, y, z] => sum += DVec3::new(f64::from(x), f64::from(y), f64::from(z)),
+            _ => return None,
+        }
+    }
+    (!faces.is_empty()).then(|| sum / faces.len() as f64)
+}
+
+/// The same mesh with its area-weighted normals as an attribute of its own, one at each vertex:
+/// what an optimizer of normals starts from. A normal layer that it has is replaced.
+pub fn with_vertex_normals(mut mesh: Mesh) -> Mesh {
+    let mut sums = vec![DVec3::ZERO; mesh.positions.len()];
+    for face in &mesh.faces {
+        let [p0, p1, p2] = face.map(|v| mesh.positions[v as usize]);
+        for v in face {
+            sums[*v as usize] += (p1 - p0).cross(p2 - p0);
+        }
+    }
+    let normals: Vec<[f32; 3]> =
+        sums.into_iter().map(|n| n.normalize_or_zero().as_vec3().to_array()).collect();
+    if mesh.layers.is_empty() {
+        mesh.face_wedges.clone_from(&mesh.faces);
+    }
+    let n_wedges = if mesh.layers.is_empty() { normals.len() } else { mesh.n_wedges() };
+    let mut values = vec![0.0; 3 * n_wedges];
+    for (vertices, wedges) in mesh.faces.iter().zip(&mesh.face_wedges) {
+        for (v, w) in vertices.iter().zip(wedges) {
+            values[3 * *w as usize..][..3].copy_from_slice(&normals[*v as usize]);
+        }
+    }
+    mesh.layers.retain(|l| l.semantic != Semantic::Normal);
+    mesh.layers.push(AttributeLayer { semantic: Semantic::Normal, width: 3, values });
+    mesh
 }
 
 fn scene_of(
@@ -74,7 +160,52 @@ fn scene_of(
 impl Objective {
     /// `evaluator` must have been built from `scene`, which shows `mesh` as it is now.
     pub fn new(mesh: &EditMesh, scene: Scene, evaluator: Box<dyn Evaluator>) -> Self {
-        Self { scene, evaluator, albedo: Albedo::of(mesh.mesh()), evaluations: 0 }
+        Self {
+            scene,
+            evaluator,
+            albedo: Albedo::of(mesh.mesh()),
+            reference: None,
+            has_own_normals: false,
+            evaluations: 0,
+        }
+    }
+
+    /// The same objective for a model whose vertex normals are its own, not derived from its
+    /// triangles: `scene` shows them (see [`scene_with_normals`]).
+    #[must_use]
+    pub fn with_own_normals(self) -> Self {
+        Self { has_own_normals: true, ..self }
+    }
+
+    /// Whether vertex normals stay when triangles move.
+    pub fn has_own_normals(&self) -> bool {
+        self.has_own_normals
+    }
+
+    /// How surfaces are shaded.
+    pub fn shading(&self) -> Shading {
+        self.scene.params.shading
+    }
+
+    /// The same objective, which can also tell where the pictures differ: `reference` is what its
+    /// evaluator was built from.
+    #[must_use]
+    pub fn with_reference(self, reference: Reference) -> Self {
+        Self { reference: Some(reference), ..self }
+    }
+
+    /// The pictures of the original, if they were kept.
+    pub fn reference(&self) -> Option<&Reference> {
+        self.reference.as_ref()
+    }
+
+    /// The model as it is drawn.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    pub(super) fn albedo(&self) -> &Albedo {
+        &self.albedo
     }
 
     /// Moves judged so far.
@@ -106,6 +237,41 @@ impl Objective {
     /// Makes a move.
     pub fn commit(&mut self, mv: &Move) -> Result<i64, RenderError> {
         self.evaluator.commit(&mut self.scene, mv)
+    }
+
+    /// Makes a move if that lowers the energy; `mesh` has not followed yet. Returns the change of
+    /// energy, or `None` when it would not have fallen: then nothing has changed.
+    pub fn commit_if_better(
+        &mut self,
+        mesh: &EditMesh,
+        mv: &Move,
+    ) -> Result<Option<i64>, RenderError> {
+        let back = self.inverse(mesh, mv);
+        let delta = self.commit(mv)?;
+        if delta < 0 {
+            return Ok(Some(delta));
+        }
+        self.commit(&back)?;
+        Ok(None)
+    }
+
+    /// The move that takes back `mv`, which the pictures do not show yet.
+    pub fn inverse(&self, mesh: &EditMesh, mv: &Move) -> Move {
+        let scene = &self.scene;
+        let face = |f: &u32| {
+            let face = scene.faces.get(*f as usize).copied().flatten()?;
+            Some(AddedFace { face: *f, vertices: face.vertices, albedo: face.albedo })
+        };
+        // A vertex that the move brings has nowhere to go back to.
+        let is_old = |v: u32| (v as usize) < mesh.n_vertex_slots();
+        let moved = mv.moved.iter().filter(|m| is_old(m.0));
+        let normals = mv.normals.iter().filter(|m| is_old(m.0));
+        Move {
+            removed: mv.added.iter().map(|a| a.face).collect(),
+            added: mv.removed.iter().filter_map(face).collect(),
+            moved: moved.map(|(v, _)| (*v, scene.position(*v))).collect(),
+            normals: normals.map(|(v, _)| (*v, scene.normal(*v))).collect(),
+        }
     }
 
     /// A collapse that `mesh` has not made yet, as a move. `None` when it touches more of the mesh
@@ -146,7 +312,12 @@ impl Objective {
     }
 
     /// A triangle as it will be after the collapse; `None` when the collapse removes it.
-    fn after_collapse(&self, mesh: &EditMesh, plan: &Collapse, face: FaceId) -> Option<AddedFace> {
+    pub(super) fn after_collapse(
+        &self,
+        mesh: &EditMesh,
+        plan: &Collapse,
+        face: FaceId,
+    ) -> Option<AddedFace> {
         let before = mesh.vertices_of(face);
         if before.contains(&plan.keep) && before.contains(&plan.drop) {
             return None;

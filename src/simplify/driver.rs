@@ -236,7 +236,7 @@ impl<'a> Simplifier<'a> {
             self.queue.remove(dead);
         }
         self.refresh_around(keep)?;
-        Ok(on(Step::Edit(&record)))
+        Ok(on(Step::Edit((&record).into())))
     }
 
     /// Refines the place of the chosen collapse: a pattern search along the axes, steps halved

@@ -13,7 +13,7 @@ use crate::{
         event::{EnergySample, Report},
         spec::{Method, Spec},
     },
-    mesh::{Collapse, Mesh, Stage, Step},
+    mesh::{Collapse, Edit, Mesh, Stage, Step},
     progressive::{ProgressiveError, Writer, encode_collapse},
 };
 
@@ -155,7 +155,9 @@ impl<'a> Recorder<'a> {
     /// Takes a step of a stage.
     pub fn step(&mut self, step: &Step<'_>) -> ControlFlow<()> {
         match step {
-            Step::Edit(collapse) => self.edit(collapse),
+            Step::Edit(Edit::Collapse(collapse)) => self.edit(collapse),
+            // The stages that simplify make collapses only, and the log holds nothing else.
+            Step::Edit(_) | Step::Moves(_) => ControlFlow::Continue(()),
             Step::Sample(sample) => {
                 let sample = EnergySample {
                     stage: sample.stage.name().into(),

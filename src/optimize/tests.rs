@@ -1,0 +1,190 @@
+//! Whole runs on a small bumpy ball that was simplified crudely.
+
+use std::ops::ControlFlow;
+
+use super::{OptimizeError, Optimizer, Outcome, Params, Solver, StoppedBy, Turns, alternate};
+use crate::{
+    memoryless,
+    mesh::{EditMesh, Mesh, Sample, Step, shapes},
+    metric::{
+        Objective, Pictures, bounding_sphere, reference_pictures, scene_of_edit_mesh,
+        scene_with_normals, with_vertex_normals,
+    },
+    render::{
+        RenderParams, Shading, Twin,
+        view::{Projection, ViewParams, cameras, directions},
+    },
+};
+
+/// A torus with bumps, and what 100 triangles are left of it.
+fn models() -> (Mesh, Mesh) {
+    let original = shapes::torus(24, 16, 0.2);
+    let mut mesh = EditMesh::new(original.clone()).unwrap();
+    let params = memoryless::Params::default();
+    memoryless::simplify(&mut mesh, 100, &params, &mut |_| ControlFlow::Continue(()));
+    (original, mesh.snapshot())
+}
+
+fn pictures(original: &Mesh, shading: Shading) -> Pictures {
+    let view_params = ViewParams {
+        directions: directions(6).unwrap(),
+        fov_degrees: 60.0,
+        projection: Projection::Perspective,
+        light_degrees: 10.0,
+    };
+    Pictures {
+        views: cameras(&bounding_sphere(original), &view_params),
+        params: RenderParams {
+            image_size: 64,
+            shading,
+            ambient: 0.1,
+            background: 128,
+            interior_views: 0,
+        },
+    }
+}
+
+fn show(original: &Mesh, pictures: &Pictures, mesh: &EditMesh, has_normals: bool) -> Objective {
+    let reference = reference_pictures(original, pictures);
+    let scene = if has_normals {
+        scene_with_normals(mesh, pictures)
+    } else {
+        scene_of_edit_mesh(mesh, pictures)
+    };
+    let twin = Twin::new(&scene, &reference);
+    let objective = Objective::new(mesh, scene, Box::new(twin)).with_reference(reference);
+    if has_normals { objective.with_own_normals() } else { objective }
+}
+
+/// What came of a run.
+struct Ran {
+    outcome: Outcome,
+    samples: Vec<Sample>,
+    /// The mesh that the records make of the one before.
+    replayed: Mesh,
+    mesh: Mesh,
+}
+
+/// Runs and checks what every run must keep: samples fall, records replay, pictures are exact.
+fn check(params: &Params, shading: Shading, has_normals: bool) -> Ran {
+    let (original, simplified) = models();
+    let simplified = if has_normals { with_vertex_normals(simplified) } else { simplified };
+    let pictures = pictures(&original, shading);
+    let mut mesh = EditMesh::new(simplified.clone()).unwrap();
+    let mut replay = EditMesh::new(simplified).unwrap();
+    let mut objective = show(&original, &pictures, &mesh, has_normals);
+    let mut samples = Vec::new();
+    let outcome = Optimizer::new(&mut mesh, &mut objective, params.clone())
+        .run(&mut |step| {
+            match step {
+                Step::Edit(edit) => replay.redo(edit),
+                Step::Sample(sample) => samples.push(sample),
+                Step::Moves(_) | Step::Progress { .. } => {}
+            }
+            ControlFlow::Continue(())
+        })
+        .unwrap();
+    mesh.validate().unwrap();
+    let fresh = show(&original, &pictures, &mesh, has_normals);
+    assert_eq!(fresh.energy(), outcome.energy_after, "pictures and mesh differ");
+    assert!(params.allows_uphill || samples.is_sorted_by_key(|s| std::cmp::Reverse(s.energy)));
+    assert_eq!((mesh.n_faces(), mesh.n_vertices()), (100, 50));
+    Ran { outcome, samples, replayed: replay.snapshot(), mesh: mesh.snapshot() }
+}
+
+fn budget(max_evaluations: u64) -> Params {
+    Params { max_evaluations, sample_every: 500, edges_per_iteration: 16, ..Params::default() }
+}
+
+#[test]
+fn the_energy_falls_and_the_records_tell_how() {
+    let ran = check(&budget(30_000), Shading::Flat, false);
+    assert_eq!(ran.outcome.stopped_by, StoppedBy::Evaluations);
+    assert!(ran.outcome.energy_after * 10 < ran.outcome.energy_before * 7, "{:?}", ran.outcome);
+    assert!(ran.replayed == ran.mesh);
+    assert!(ran.samples.len() > 10 && ran.outcome.evaluations < 32_000);
+    for name in ["vertex", "no-op 1", "swap 0", "split 1", "collapse 1"] {
+        let tried = ran.outcome.moves.iter().find(|m| m.name == name);
+        assert!(tried.is_some_and(|m| m.evaluations > 0), "{name}: {:?}", ran.outcome.moves);
+    }
+}
+
+#[test]
+fn the_same_seed_gives_the_same_mesh() {
+    let [a, b, c] =
+        [1, 1, 2].map(|seed| check(&Params { seed, ..budget(4_000) }, Shading::Flat, false));
+    assert!(a.mesh == b.mesh && a.samples == b.samples);
+    assert!(a.mesh != c.mesh);
+}
+
+#[test]
+fn the_paper_s_way_works_too() {
+    let params = Params {
+        solver: Solver::Simplex,
+        has_sweeps: false,
+        allows_uphill: true,
+        ..budget(12_000)
+    };
+    let plain = check(&params, Shading::Flat, false);
+    assert!(plain.outcome.energy_after * 10 < plain.outcome.energy_before * 9);
+    assert!(plain.replayed == plain.mesh);
+}
+
+#[test]
+fn normals_of_their_own_are_optimized_with_the_places() {
+    let still = check(&budget(6_000), Shading::Smooth, true);
+    let params = Params { optimizes_normals: true, ..budget(6_000) };
+    let free = check(&params, Shading::Smooth, true);
+    assert!(free.replayed == free.mesh && still.replayed == still.mesh);
+    assert!(free.outcome.energy_after < still.outcome.energy_after);
+    check(&budget(3_000), Shading::Smooth, false);
+}
+
+#[test]
+fn a_run_ends_where_it_is_asked_to() {
+    let until = check(&Params { until: 0.9, ..budget(0) }, Shading::Flat, false).outcome;
+    assert_eq!(until.stopped_by, StoppedBy::Energy);
+    assert!(until.energy_after * 10 <= until.energy_before * 9);
+    let (original, simplified) = models();
+    let pictures = pictures(&original, Shading::Flat);
+    let mut mesh = EditMesh::new(simplified).unwrap();
+    let mut objective = show(&original, &pictures, &mesh, false);
+    let mut n_edits = 0;
+    let outcome = Optimizer::new(&mut mesh, &mut objective, budget(0)).run(&mut |step| {
+        n_edits += u32::from(matches!(step, Step::Edit(_)));
+        if n_edits >= 3 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    });
+    assert_eq!(outcome.unwrap().stopped_by, StoppedBy::Caller);
+    assert_eq!(n_edits, 3);
+}
+
+#[test]
+fn views_take_turns_and_the_last_word_is_the_first_ones() {
+    let (original, simplified) = models();
+    let pictures = pictures(&original, Shading::Flat);
+    let center = bounding_sphere(&original).center;
+    let mut mesh = EditMesh::new(simplified).unwrap();
+    let mut turns = Vec::new();
+    let mut last = None;
+    let outcome = alternate::<OptimizeError>(
+        &mut mesh,
+        &budget(6_000),
+        Turns { evaluations: 1_000, n_others: 1, last_evaluations: 1_500 },
+        &mut |turn, mesh| {
+            turns.push(turn);
+            Ok(show(&original, &pictures.turned(center, turn), mesh, false))
+        },
+        &mut |step| {
+            if let Step::Sample(sample) = step {
+                last = Some(sample);
+            }
+            ControlFlow::Continue(())
+        },
+    )
+    .unwrap();
+    assert!(turns.starts_with(&[0, 1, 0]) && turns.last() == Some(&0), "{turns:?}");
+    let now = show(&original, &pictures, &mesh, false).energy();
+    assert_eq!((outcome.energy_after, last.unwrap().energy), (now, Some(now)));
+    assert_eq!(last.unwrap().evaluations, outcome.evaluations);
+    assert!(now < outcome.energy_before);
+}
