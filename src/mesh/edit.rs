@@ -163,3 +163,31 @@ macro_rules! edit_from {
     )*};
 }
 edit_from!(Collapse, Split, Swap, Displacement, Revalue);
+
+/// Any local edit, by its own record.
+#[derive(Clone, Debug, PartialEq)]
+pub enum EditRecord {
+    /// Two vertices became one.
+    Collapse(Collapse),
+    /// An edge got a vertex in its middle.
+    Split(Split),
+    /// An edge was turned.
+    Swap(Swap),
+    /// A vertex moved.
+    Displacement(Displacement),
+    /// Corners got new attribute values.
+    Revalue(Revalue),
+}
+
+impl EditRecord {
+    /// The record by reference.
+    pub fn edit(&self) -> Edit<'_> {
+        match self {
+            Self::Collapse(record) => record.into(),
+            Self::Split(record) => record.into(),
+            Self::Swap(record) => record.into(),
+            Self::Displacement(record) => record.into(),
+            Self::Revalue(record) => record.into(),
+        }
+    }
+}

@@ -21,7 +21,8 @@ mod wedges;
 
 pub use edges::{EdgeChange, EdgeTable};
 pub use edit::{
-    Collapse, Displacement, Edit, RemovedFace, Revalue, Rewedged, Split, SplitFace, Swap,
+    Collapse, Displacement, Edit, EditRecord, RemovedFace, Revalue, Rewedged, Split, SplitFace,
+    Swap,
 };
 pub use edit_mesh::EditMesh;
 pub use error::{MAX_FACES, MeshError, Violation};

@@ -10,10 +10,7 @@ use std::ops::ControlFlow;
 use glam::DVec3;
 
 use crate::{
-    mesh::{
-        Collapse, Displacement, Edit, EditMesh, FaceId, Revalue, Sample, Semantic, Split, Stage,
-        Step, Swap,
-    },
+    mesh::{Collapse, EditMesh, EditRecord, FaceId, Sample, Semantic, Split, Stage, Step},
     metric::Objective,
     render::{Move, RenderError},
 };
@@ -26,38 +23,10 @@ use super::{
     statistics::Statistics,
 };
 
-/// An edit that was made, by its record.
-#[derive(Clone, Debug)]
-pub enum Done {
-    /// Two vertices became one.
-    Collapse(Collapse),
-    /// An edge got a vertex.
-    Split(Split),
-    /// An edge was turned.
-    Swap(Swap),
-    /// A vertex moved.
-    Displacement(Displacement),
-    /// Normals changed.
-    Revalue(Revalue),
-}
-
-impl Done {
-    /// The record by reference.
-    pub fn edit(&self) -> Edit<'_> {
-        match self {
-            Self::Collapse(record) => record.into(),
-            Self::Split(record) => record.into(),
-            Self::Swap(record) => record.into(),
-            Self::Displacement(record) => record.into(),
-            Self::Revalue(record) => record.into(),
-        }
-    }
-}
-
 /// Edits that stay or go together.
 #[derive(Debug, Default)]
 pub struct Transaction {
-    done: Vec<Done>,
+    done: Vec<EditRecord>,
     /// What takes each step back in the pictures, in the order of the steps.
     backs: Vec<Move>,
     /// The change of energy so far.
@@ -276,17 +245,22 @@ impl Run<'_> {
     }
 
     /// Makes the edits of a proposal in the mesh; the pictures show them already.
-    fn perform(&mut self, proposal: &Proposal, places: &[DVec3], normals: &[DVec3]) -> Vec<Done> {
+    fn perform(
+        &mut self,
+        proposal: &Proposal,
+        places: &[DVec3],
+        normals: &[DVec3],
+    ) -> Vec<EditRecord> {
         let mut done = Vec::new();
         let mut placed = 0;
         match (&proposal.plan, places.first()) {
-            (Plan::Swap(plan), _) => done.push(Done::Swap(*plan)),
+            (Plan::Swap(plan), _) => done.push(EditRecord::Swap(*plan)),
             (Plan::Split(plan), Some(&at)) => {
-                done.push(Done::Split(Split { at, ..plan.clone() }));
+                done.push(EditRecord::Split(Split { at, ..plan.clone() }));
                 placed = 1;
             }
             (Plan::Collapse(plan), Some(&to)) => {
-                done.push(Done::Collapse(Collapse { to, ..plan.clone() }));
+                done.push(EditRecord::Collapse(Collapse { to, ..plan.clone() }));
                 placed = 1;
             }
             _ => {}
@@ -296,7 +270,7 @@ impl Run<'_> {
         }
         let free = &proposal.trial.free;
         for (f, to) in free.iter().zip(places).skip(placed).filter(|(f, to)| f.at != **to) {
-            done.push(Done::Displacement(self.mesh.displace(f.vertex, *to)));
+            done.push(EditRecord::Displacement(self.mesh.displace(f.vertex, *to)));
         }
         if self.objective.has_own_normals() {
             let value = |(f, n): (&_, &DVec3)| {
@@ -304,7 +278,7 @@ impl Run<'_> {
                 (f.vertex, n.as_vec3().to_array())
             };
             let values: Vec<_> = free.iter().zip(normals).map(value).collect();
-            done.extend(self.mesh.revalue(Semantic::Normal, &values).map(Done::Revalue));
+            done.extend(self.mesh.revalue(Semantic::Normal, &values).map(EditRecord::Revalue));
         }
         self.objective.follow(self.mesh);
         self.remember(proposal);
@@ -336,7 +310,7 @@ impl Run<'_> {
     }
 
     /// Tells the caller of edits that stay, and how things are now and then.
-    pub fn tell(&mut self, done: &[Done]) {
+    pub fn tell(&mut self, done: &[EditRecord]) {
         for one in done {
             if (self.on)(Step::Edit(one.edit())).is_break() {
                 self.stopped_by = Some(StoppedBy::Caller);
