@@ -1,7 +1,7 @@
 # Lookalike: two commands do everything on a fresh Debian 12 with a Rust toolchain.
 #   make demo [MODEL=path]   build, start a server, simplify a model, leave the results in out/demo
 #   make test                everything that CI checks
-.PHONY: demo test setup build lint unit python loadtest torture bench deny
+.PHONY: demo test setup build lint unit python loadtest torture bench results deny
 
 CARGO ?= cargo
 VENV := .venv
@@ -44,6 +44,10 @@ torture:
 
 bench:
 	$(CARGO) bench
+
+# docs/results.md and its pictures, anew (QUICK=1 leaves the long runs out).
+results: build
+	python3 benches/results.py $(if $(QUICK),--quick)
 
 deny:
 	$(CARGO) deny check

@@ -9,6 +9,7 @@
 //! - [`io`]: files in, files out
 //! - [`progressive`]: the record of every edit, and any level extracted from it
 //! - [`memoryless`]: geometric simplification (Lindstrom & Turk 1998)
+//! - [`cluster`]: vertex clustering, crude and fast
 //! - [`render`]: views, rasters and the move evaluator, in WGSL and in Rust
 //! - [`metric`]: image differences and surface distance
 //! - [`simplify`]: image-driven simplification (Lindstrom & Turk 2000)
@@ -20,6 +21,7 @@
 //!
 //! `tests/layers.rs` holds the table of who may import whom.
 
+pub mod cluster;
 pub mod compare;
 pub mod io;
 pub mod jobs;

@@ -14,11 +14,12 @@ use std::{
 };
 
 /// Module → modules of this crate that it may import (itself always).
-const MAY_IMPORT: [(&str, &[&str]); 16] = [
+const MAY_IMPORT: [(&str, &[&str]); 17] = [
     ("mesh", &[]),
     ("io", &["mesh"]),
     ("progressive", &["mesh"]),
     ("memoryless", &["mesh"]),
+    ("cluster", &["mesh"]),
     ("render", &[]),
     ("metric", &["mesh", "render"]),
     ("simplify", &["mesh", "memoryless", "metric", "render"]),
@@ -33,6 +34,7 @@ const MAY_IMPORT: [(&str, &[&str]); 16] = [
             "io",
             "progressive",
             "memoryless",
+            "cluster",
             "render",
             "metric",
             "simplify",
@@ -52,6 +54,7 @@ const MAY_IMPORT: [(&str, &[&str]); 16] = [
             "io",
             "progressive",
             "memoryless",
+            "cluster",
             "render",
             "metric",
             "simplify",
@@ -68,11 +71,12 @@ const MAY_IMPORT: [(&str, &[&str]); 16] = [
 
 /// External crate → the only modules that may name it. Wire stubs live in `service`; the worker
 /// speaks to a server through them, and the command line is a client.
-const SOLE_OWNERS: [(&str, &[&str]); 9] = [
+const SOLE_OWNERS: [(&str, &[&str]); 10] = [
     ("gltf", &["io"]),
     ("gltf_json", &["io"]),
     ("wgpu", &["render"]),
     ("bytemuck", &["render", "io"]),
+    ("meshopt", &["cluster"]),
     ("plotters", &["compare"]),
     ("sqlx", &["jobs"]),
     ("axum", &["telemetry"]),

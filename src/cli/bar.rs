@@ -55,7 +55,7 @@ impl Bar {
                 self.curve = format!("{} triangles{d2}", sample.triangles);
                 self.show();
             }
-            Report::Records { .. } | Report::Artifact { .. } => {}
+            Report::Records { .. } | Report::Moves { .. } | Report::Artifact { .. } => {}
         }
     }
 

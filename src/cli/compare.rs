@@ -21,12 +21,13 @@ use super::{
 pub(crate) struct CompareArgs {
     /// The original: .glb, .gltf, .ply, .obj or .stl.
     original: PathBuf,
-    /// The simplified mesh.
-    simplified: PathBuf,
-    /// One JSON object instead of text.
+    /// The simplified mesh, or several.
+    #[arg(required = true)]
+    simplified: Vec<PathBuf>,
+    /// One JSON object instead of text; of several meshes, an array of them.
     #[arg(long)]
     json: bool,
-    /// Also draw a contact sheet: original, simplified, difference.
+    /// Also draw a contact sheet: original, simplified, difference; several side by side.
     #[arg(long, value_name = "PNG")]
     sheet: Option<PathBuf>,
     /// Flat or smooth (Gouraud) shading.
@@ -35,6 +36,9 @@ pub(crate) struct CompareArgs {
     /// Draw material and vertex colours instead of white.
     #[arg(long)]
     colours: bool,
+    /// In smooth shading, draw the simplified mesh with the normals of its file.
+    #[arg(long)]
+    stored_normals: bool,
     /// Leave the distance between the surfaces out.
     #[arg(long)]
     no_distance: bool,
@@ -47,7 +51,9 @@ enum ShadingArg {
 }
 
 pub(crate) fn run(args: &CompareArgs) -> Result<(), Failure> {
-    let (original, simplified) = (read_mesh(&args.original)?, read_mesh(&args.simplified)?);
+    let original = read_mesh(&args.original)?;
+    let simplified: Vec<Mesh> =
+        args.simplified.iter().map(|path| read_mesh(path)).collect::<Result<_, _>>()?;
     let look = Look {
         shading: match args.shading {
             ShadingArg::Flat => compare::Shading::Flat,
@@ -57,21 +63,45 @@ pub(crate) fn run(args: &CompareArgs) -> Result<(), Failure> {
         ..Look::default()
     };
     let surface = (!args.no_distance).then(SurfaceParams::default);
-    let params = compare::Params { look, surface, ..compare::Params::default() };
-    let comparison = compare::compare(&original, &simplified, &params);
+    let stored_normals = args.stored_normals;
+    let params = compare::Params { look, surface, stored_normals, ..compare::Params::default() };
+    let reference = compare::Reference::new(&original, &params);
+    let comparisons: Vec<_> = simplified.iter().map(|mesh| reference.compare(mesh)).collect();
     if args.json {
-        let json = serde_json::to_string_pretty(&comparison)
-            .map_err(|e| Failure::new(Exit::Failed, e.to_string()))?;
+        let json = match comparisons.as_slice() {
+            [one] => serde_json::to_string_pretty(one),
+            all => serde_json::to_string_pretty(all),
+        };
+        let json = json.map_err(|e| Failure::new(Exit::Failed, e.to_string()))?;
         show::print(&format!("{json}\n"));
     } else {
-        show::print(&compare::report_text(&comparison));
+        for (path, comparison) in args.simplified.iter().zip(&comparisons) {
+            if comparisons.len() > 1 {
+                show::print(&format!("{}\n", path.display()));
+            }
+            show::print(&compare::report_text(comparison));
+        }
     }
-    if let Some(path) = &args.sheet {
-        let mut sheet_params = SheetParams::default();
-        (sheet_params.look.shading, sheet_params.look.appearance) = (look.shading, look.appearance);
-        write_file(path, &compare::sheet(&original, &simplified, &sheet_params))?;
+    match &args.sheet {
+        Some(path) => write_file(path, &sheet(&original, &simplified, look)),
+        None => Ok(()),
     }
-    Ok(())
+}
+
+/// One mesh seen from many sides, or several from two.
+fn sheet(original: &Mesh, simplified: &[Mesh], look: Look) -> Vec<u8> {
+    let with_look = |mut params: SheetParams| {
+        (params.look.shading, params.look.appearance) = (look.shading, look.appearance);
+        params
+    };
+    match simplified {
+        [one] => compare::sheet(original, one, &with_look(SheetParams::default())),
+        several => {
+            let chain: Vec<&Mesh> = several.iter().collect();
+            let params = SheetParams::chain(compare::Axis::Y);
+            compare::sheet_multi(original, &chain, &with_look(params))
+        }
+    }
 }
 
 /// Reads a model file into a mesh.

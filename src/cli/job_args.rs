@@ -4,10 +4,10 @@ use clap::{
     Args,
     builder::{PossibleValuesParser, TypedValueParser},
 };
-use lookalike::jobs::spec::{Effort, Fault, Method, Projection, Render, Shading, Spec, Topology};
+use lookalike::jobs::spec::{Effort, Fault, Method, Spec, Topology};
 use serde::de::DeserializeOwned;
 
-use super::exit::Failure;
+use super::{exit::Failure, optimize_args::OptimizeArgs, picture_args::PictureArgs};
 
 /// What to make of a mesh.
 #[derive(Args, Clone, Debug)]
@@ -15,8 +15,13 @@ pub(crate) struct JobArgs {
     /// Triangles of each level of detail, separated by commas.
     #[arg(long, required = true, value_delimiter = ',', value_name = "N")]
     triangles: Vec<u32>,
-    /// How the levels are made: by what they look like, or by geometry alone.
-    #[arg(long, default_value = "image", value_parser = word::<Method>(&["image", "memoryless"]))]
+    /// How the levels are made: by what they look like, by geometry alone, or by vertex clustering
+    /// (crude; one level).
+    #[arg(
+        long,
+        default_value = "image",
+        value_parser = word::<Method>(&["image", "memoryless", "cluster"])
+    )]
     simplify: Method,
     /// How much work each collapse is worth.
     #[arg(long, default_value = "balanced", value_parser = word::<Effort>(&["fast", "balanced", "best"]))]
@@ -24,46 +29,16 @@ pub(crate) struct JobArgs {
     /// Keep parts and holes, or let them go where a target asks for it.
     #[arg(long, default_value = "preserve", value_parser = word::<Topology>(&["preserve", "free"]))]
     topology: Topology,
-    /// Number of views: 4, 6, 8, 12, 20 or 24.
-    #[arg(long, default_value_t = 20, value_name = "N")]
-    views: u32,
-    /// A direction from the model's centre to an eye; repeat it. Replaces --views.
-    #[arg(long = "view", value_parser = direction, value_name = "X,Y,Z", allow_hyphen_values = true)]
-    custom_views: Vec<[f64; 3]>,
-    /// Pixels along each side of a picture, 64 to 1024, a multiple of 8.
-    #[arg(long, default_value_t = 256, value_name = "PIXELS")]
-    image_size: u32,
-    /// Surface shading.
-    #[arg(long, default_value = "flat", value_parser = word::<Shading>(&["flat", "smooth"]))]
-    shading: Shading,
-    /// Camera projection.
-    #[arg(
-        long,
-        default_value = "perspective",
-        value_parser = word::<Projection>(&["perspective", "orthographic"])
-    )]
-    projection: Projection,
-    /// Field of view in degrees, 5 to 120 (perspective only).
-    #[arg(long, default_value_t = 60.0, value_name = "DEGREES")]
-    fov: f64,
-    /// Background grey, 0 to 1.
-    #[arg(long, default_value_t = 0.5, value_name = "GREY")]
-    background: f64,
-    /// Ambient light, 0 to 1.
-    #[arg(long, default_value_t = 0.1, value_name = "LIGHT")]
-    ambient: f64,
-    /// Angle between view and light, 0 to 90 degrees.
-    #[arg(long, default_value_t = 10.0, value_name = "DEGREES")]
-    light_degrees: f64,
-    /// How many of the views look at the inside.
-    #[arg(long, default_value_t = 0, value_name = "N")]
-    interior_views: u32,
+    #[command(flatten)]
+    pictures: PictureArgs,
     /// The image-driven stage starts at this multiple of the largest level.
     #[arg(long, default_value_t = 4.0, value_name = "K")]
     start_factor: f64,
     /// Weight of the surface against the boundary in the memoryless cost, 0 to 1.
     #[arg(long, default_value_t = 0.5)]
     lambda: f64,
+    #[command(flatten)]
+    optimize: OptimizeArgs,
     /// Stop after this many energy evaluations; 0 for no limit.
     #[arg(long, default_value_t = 0, value_name = "N")]
     max_evaluations: u64,
@@ -76,7 +51,13 @@ pub(crate) struct JobArgs {
 }
 
 /// Fields of the specification whose flag has another name.
-const FLAGS: [(&str, &str); 4] = [
+const FLAGS: [(&str, &str); 10] = [
+    ("optimize", "--optimize-evaluations"),
+    ("optimize.max_evaluations", "--optimize-evaluations"),
+    ("optimize.max_secs", "--optimize-seconds"),
+    ("optimize.until", "--optimize-until"),
+    ("optimize.delta", "--optimize-delta"),
+    ("optimize.normals", "--optimize-normals"),
     ("render.n_views", "--views"),
     ("render.custom_views", "--view"),
     ("render.fov_degrees", "--fov"),
@@ -93,28 +74,24 @@ impl JobArgs {
             topology: self.topology,
             start_factor: self.start_factor,
             lambda: self.lambda,
-            render: Render {
-                n_views: self.views,
-                custom_views: self.custom_views,
-                image_size: self.image_size,
-                fov_degrees: self.fov,
-                projection: self.projection,
-                background: self.background,
-                ambient: self.ambient,
-                light_degrees: self.light_degrees,
-                shading: self.shading,
-                interior_views: self.interior_views,
-            },
+            render: self.pictures.render(),
+            optimize: self.optimize.optimize(),
             max_evaluations: self.max_evaluations,
             max_secs: self.max_secs,
             seed: self.seed,
+            simplified: None,
         };
-        let faults = spec.validate();
-        if faults.is_empty() {
-            return Ok(spec);
-        }
-        Err(Failure::faults(&faults.iter().map(line).collect::<Vec<_>>()))
+        checked(spec)
     }
+}
+
+/// The specification, or everything that is wrong with it.
+pub(crate) fn checked(spec: Spec) -> Result<Spec, Failure> {
+    let faults = spec.validate();
+    if faults.is_empty() {
+        return Ok(spec);
+    }
+    Err(Failure::faults(&faults.iter().map(line).collect::<Vec<_>>()))
 }
 
 fn line(fault: &Fault) -> String {
@@ -130,25 +107,18 @@ fn line(fault: &Fault) -> String {
 }
 
 /// One of `words`, which are the names that the specification itself is stored with.
-fn word<T: DeserializeOwned + Clone + Send + Sync + 'static>(
+pub(super) fn word<T: DeserializeOwned + Clone + Send + Sync + 'static>(
     words: &[&'static str],
 ) -> impl TypedValueParser<Value = T> + use<T> {
     let words = PossibleValuesParser::new(words.to_vec());
     words.try_map(|word| serde_json::from_value(serde_json::Value::String(word)))
 }
 
-fn direction(text: &str) -> Result<[f64; 3], String> {
-    let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse()).collect();
-    let numbers =
-        numbers.map_err(|error| format!("{error}: use three numbers, such as 1,0,-0.5"))?;
-    let n_numbers = numbers.len();
-    numbers.try_into().map_err(|_| format!("{n_numbers} numbers: use three, such as 1,0,-0.5"))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use clap::Parser;
+    use lookalike::jobs::spec::{Optimize, Solver};
 
     #[derive(Parser)]
     struct Probe {
@@ -180,13 +150,30 @@ mod tests {
     }
 
     #[test]
+    fn optimization_is_set_in_evaluations_seconds_or_energy() {
+        let read = |flag| spec(&["--triangles=9", flag]).unwrap().optimize;
+        let default = Optimize::default();
+        let wanted = Optimize { max_evaluations: Some(0), ..default.clone() };
+        assert_eq!(read("--optimize-evaluations=0"), wanted);
+        assert_eq!(
+            read("--optimize-seconds=2"),
+            Optimize { max_secs: Some(2.0), ..default.clone() }
+        );
+        assert_eq!(read("--optimize-until=0.5"), Optimize { until: Some(0.5), ..default.clone() });
+        let wanted = Optimize { solver: Solver::Simplex, ..default };
+        assert_eq!(read("--optimize-solver=simplex"), wanted);
+    }
+
+    #[test]
     fn faults_name_their_flags() {
-        let failure = spec(&["--triangles=9,0", "--views=7", "--light-degrees=91"]).unwrap_err();
+        let flags = ["--triangles=9,0", "--views=7", "--light-degrees=91", "--optimize-until=2"];
+        let failure = spec(&flags).unwrap_err();
         let text = failure.error.to_string();
-        let starts = ["--triangles, number 2: ", "--views: ", "--light-degrees: "];
+        let starts =
+            ["--triangles, number 2: ", "--views: ", "--light-degrees: ", "--optimize-until: "];
         for (line, start) in text.lines().zip(starts) {
             assert!(line.starts_with(start), "{line}");
         }
-        assert_eq!(text.lines().count(), 3);
+        assert_eq!(text.lines().count(), 4);
     }
 }

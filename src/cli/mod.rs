@@ -11,6 +11,9 @@ mod extract;
 mod fetch;
 mod job_args;
 mod jobs;
+mod optimize;
+mod optimize_args;
+mod picture_args;
 mod remote;
 mod run;
 mod sample;
@@ -56,6 +59,8 @@ enum Command {
     Fetch(fetch::FetchArgs),
     /// Simplify a file in this process, without a server.
     Run(run::RunArgs),
+    /// Make a mesh that any tool has simplified look more like its original.
+    Optimize(Box<optimize::OptimizeCommandArgs>),
     /// Tell how much a simplified mesh looks like its original: pictures and distances.
     Compare(compare::CompareArgs),
     /// Take any level of detail out of a progressive mesh.
@@ -102,6 +107,7 @@ async fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Delete(args) => jobs::delete(args).await,
         Command::Fetch(args) => fetch::run(args).await,
         Command::Run(args) => run::run(args).await,
+        Command::Optimize(args) => optimize::run(*args).await,
         Command::Compare(args) => compare::run(&args),
         Command::Extract(args) => extract::run(&args),
         Command::Sample(args) => sample::run(&args),

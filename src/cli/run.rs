@@ -2,12 +2,15 @@
 
 use std::{
     ops::ControlFlow,
-    path::PathBuf,
+    path::{Path, PathBuf},
     sync::atomic::{AtomicBool, Ordering},
 };
 
 use clap::Args;
-use lookalike::worker::pipeline::{self, DeviceChoice, PipelineError};
+use lookalike::{
+    jobs::{event::Report, spec::Spec},
+    worker::pipeline::{self, DeviceChoice, Inputs, ModelFile, PipelineError},
+};
 
 use super::{
     bar::Bar,
@@ -23,28 +26,45 @@ use super::{
 pub(crate) struct RunArgs {
     /// The mesh: .glb, .gltf, .ply, .obj or .stl.
     file: PathBuf,
+    #[command(flatten)]
+    here: HereArgs,
+    #[command(flatten)]
+    job: JobArgs,
+}
+
+/// Where a job of this process computes, and where its results go.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct HereArgs {
     /// Where to put the results.
     #[arg(long, value_name = "DIR")]
-    out: PathBuf,
+    pub(crate) out: PathBuf,
     /// Evaluator: auto, cpu, or the name of an adapter.
     #[arg(long, env = "LOOKALIKE_DEVICE", default_value = "auto")]
     device: String,
-    #[command(flatten)]
-    job: JobArgs,
 }
 
 static STOP: AtomicBool = AtomicBool::new(false);
 
 pub(crate) async fn run(args: RunArgs) -> Result<(), Failure> {
-    let spec = args.job.spec()?;
-    let input = read_input(&args.file)?;
+    here(args.job.spec()?, &args.file, None, args.here).await
+}
+
+/// Runs a job in this process.
+pub(crate) async fn here(
+    spec: Spec,
+    original: &Path,
+    simplified: Option<&Path>,
+    args: HereArgs,
+) -> Result<(), Failure> {
+    let read = |file: &Path| read_input(file).map(|bytes| (file_name(file), bytes));
+    let (original, simplified) = (read(original)?, simplified.map(read).transpose()?);
     make_folder(&args.out)?;
-    let (name, out, device) = (file_name(&args.file), args.out, DeviceChoice(args.device));
+    let (out, device) = (args.out, DeviceChoice(args.device));
     let mut work = tokio::task::spawn_blocking(move || {
         let mut bar = Bar::new();
-        let mut on = |report: lookalike::jobs::event::Report| {
+        let mut on = |report: Report| {
             bar.report(&report);
-            if let lookalike::jobs::event::Report::Artifact { name, .. } = &report {
+            if let Report::Artifact { name, .. } = &report {
                 show::print(&format!("{}\n", out.join(name).display()));
             }
             if STOP.load(Ordering::Relaxed) {
@@ -53,7 +73,9 @@ pub(crate) async fn run(args: RunArgs) -> Result<(), Failure> {
                 ControlFlow::Continue(())
             }
         };
-        let result = pipeline::run(&spec, &name, &input, &out, &device, &mut on);
+        let inputs =
+            Inputs { original: model(&original), simplified: simplified.as_ref().map(model) };
+        let result = pipeline::run(&spec, &inputs, &out, &device, &mut on);
         bar.finish();
         result
     });
@@ -73,4 +95,8 @@ pub(crate) async fn run(args: RunArgs) -> Result<(), Failure> {
         };
         Failure::new(exit, error.to_string())
     })
+}
+
+fn model((name, bytes): &(String, Vec<u8>)) -> ModelFile<'_> {
+    ModelFile { name, bytes }
 }

@@ -62,13 +62,9 @@ pub(crate) fn job_line(job: &v1::Job) -> String {
     let state = state_of(job).map_or("UNKNOWN", State::name);
     let spec = convert::spec_from_wire(job.spec.clone()).0;
     let triangles: Vec<_> = spec.triangles.iter().map(ToString::to_string).collect();
+    let what = spec.simplified.map_or_else(|| triangles.join(","), |i| i.file_name);
     let percent = job.fraction * 100.0;
-    format!(
-        "{}  {state:<9}  {percent:>3.0}%  {}  {}\n",
-        job.name,
-        triangles.join(","),
-        job.file_name
-    )
+    format!("{}  {state:<9}  {percent:>3.0}%  {what}  {}\n", job.name, job.file_name)
 }
 
 #[cfg(test)]
@@ -77,7 +73,8 @@ mod tests {
 
     #[test]
     fn entries_become_flat_objects() {
-        let body = Body::Worker(Report::Records { first: 3, count: 2, bytes: vec![0; 9] });
+        let body =
+            Body::Worker(Report::Records { level: None, first: 3, count: 2, bytes: vec![0; 9] });
         let value = event_json(&Event { seq: 7, epoch: 1, at_ms: 5, body });
         let wanted = json!({
             "kind": "records", "first": 3, "count": 2, "size": 9, "seq": 7, "epoch": 1, "at_ms": 5

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use lookalike::{
-    jobs::spec::Spec,
+    jobs::spec::{Input, Spec},
     service::{convert, proto::v1},
 };
 
@@ -40,22 +40,52 @@ pub(crate) struct SubmitArgs {
 
 pub(crate) async fn run(args: SubmitArgs) -> Result<(), Failure> {
     let spec = args.job.spec()?;
-    let bytes = read_input(&args.file)?;
-    if let Some(out) = args.out.as_deref() {
+    let request = Request { id: args.request_id, out: args.out, no_wait: args.no_wait };
+    submit(&args.server, &args.file, None, spec, request).await
+}
+
+/// How a job is submitted.
+#[derive(Debug)]
+pub(crate) struct Request {
+    /// Names the request; a new name where there is none.
+    pub(crate) id: Option<String>,
+    /// Where to put the results.
+    pub(crate) out: Option<PathBuf>,
+    /// Do not wait for the end.
+    pub(crate) no_wait: bool,
+}
+
+/// Uploads the original, and what it was simplified to where that is to be optimized; creates the
+/// job, follows it and fetches its results.
+pub(crate) async fn submit(
+    server: &ServerArgs,
+    original: &Path,
+    simplified: Option<&Path>,
+    mut spec: Spec,
+    request: Request,
+) -> Result<(), Failure> {
+    let bytes = read_input(original)?;
+    let simplified =
+        simplified.map(|file| read_input(file).map(|b| (file_name(file), b))).transpose()?;
+    if let Some(out) = request.out.as_deref() {
         make_folder(out)?;
     }
-    let remote = Remote::connect(&args.server).await?;
+    let remote = Remote::connect(server).await?;
     let mesh = remote.upload(bytes.into()).await?;
-    let request_id = args.request_id.unwrap_or_else(|| uuid::Uuid::new_v4().to_string());
-    let job = create(&remote, request_id, mesh, &args.file, &spec).await?;
-    if args.no_wait {
+    if let Some((file_name, bytes)) = simplified {
+        let mesh = convert::mesh_hash(&remote.upload(bytes.into()).await?);
+        spec.simplified = Some(Input { mesh, file_name });
+    }
+    let request_id = request.id.unwrap_or_else(|| uuid::Uuid::new_v4().to_string());
+    let job = create(&remote, request_id, mesh, original, &spec).await?;
+    if request.no_wait {
         show::print(&format!("{}\n", job.name));
         return Ok(());
     }
     wait(&remote, &job.name).await?;
     let end = verdict(&remote, &job.name).await;
     let keeps_results = end.as_ref().err().is_none_or(|failure| failure.exit == Exit::Cancelled);
-    if let (true, Some(out)) = (keeps_results, args.out.as_deref()) {
+    if let (true, Some(out)) = (keeps_results, request.out.as_deref()) {
         fetch_all(&remote, &job.name, out).await?;
     }
     end

@@ -32,13 +32,21 @@ pub struct Params {
     pub fov_degrees: f64,
     /// Angle between the directions to the eye and to the light, degrees.
     pub light_degrees: f64,
+    /// In smooth shading, draw the simplified mesh with the normals that it brings.
+    pub stored_normals: bool,
     /// Also measure the distance between the surfaces.
     pub surface: Option<SurfaceParams>,
 }
 
 impl Default for Params {
     fn default() -> Self {
-        Self { look: Look::default(), fov_degrees: 60.0, light_degrees: 10.0, surface: None }
+        Self {
+            look: Look::default(),
+            fov_degrees: 60.0,
+            light_degrees: 10.0,
+            stored_normals: false,
+            surface: None,
+        }
     }
 }
 
@@ -93,7 +101,11 @@ impl<'m> Reference<'m> {
     /// Compares one mesh with the original.
     pub fn compare(&self, simplified: &Mesh) -> Comparison {
         let look = &self.params.look;
-        let drawn = pictures(&Drawable::luminance(simplified, look), &self.views, look);
+        let mut drawable = Drawable::luminance(simplified, look);
+        if self.params.stored_normals {
+            drawable = drawable.with_stored_normals();
+        }
+        let drawn = pictures(&drawable, &self.views, look);
         let mean_squares: Vec<f64> = (self.pictures.iter().zip(&drawn))
             .map(|(a, b)| mean_square_difference(a.as_flattened(), b.as_flattened()))
             .collect();

@@ -30,7 +30,10 @@ pub struct CurvePoint {
     pub evaluations: u64,
     /// Triangles then.
     pub triangles: u32,
-    /// d2 in percent of full scale; absent where no pictures were kept.
+    /// Which level is being optimized; absent in other stages.
+    pub level: Option<u32>,
+    /// What is drawn: d2 in percent of full scale, unless [`PlotParams::y`] says otherwise; absent
+    /// where no pictures were kept.
     pub d2: Option<f64>,
 }
 
@@ -51,6 +54,8 @@ pub struct PlotParams {
     pub title: String,
     /// What runs along the horizontal axis.
     pub x: PlotX,
+    /// What stands along the vertical axis.
+    pub y: &'static str,
     /// Triangles of the levels of detail, in the order asked for; each is marked on the curve.
     pub levels: Vec<u32>,
     /// Width of the picture, pixels, at least 320.
@@ -62,7 +67,8 @@ pub struct PlotParams {
 impl Default for PlotParams {
     fn default() -> Self {
         let title = "Image difference while simplifying".to_owned();
-        Self { title, x: PlotX::default(), levels: Vec::new(), width: 900, height: 520 }
+        let y = "d2, percent of full scale";
+        Self { title, x: PlotX::default(), y, levels: Vec::new(), width: 900, height: 520 }
     }
 }
 
@@ -155,6 +161,7 @@ fn round_step(value: f64) -> f64 {
 #[derive(Clone, Copy)]
 struct Spot {
     stage: Stage,
+    level: Option<u32>,
     x: f64,
     d2: f64,
     triangles: u32,
@@ -254,8 +261,7 @@ impl<'a> Plot<'a> {
         let style = text(14.0, INK, HPos::Center, VPos::Top);
         canvas.draw(&Text::new(below, (middle_x, self.bottom() + px(32)), style))?;
         let style = text(14.0, INK, HPos::Center, VPos::Top).transform(FontTransform::Rotate270);
-        let beside = "d2, percent of full scale";
-        canvas.draw(&Text::new(beside, (px(12), middle_y), style))?;
+        canvas.draw(&Text::new(self.params.y, (px(12), middle_y), style))?;
         if self.spots.is_empty() {
             let style = text(14.0, FAINT, HPos::Center, VPos::Center);
             canvas.draw(&Text::new("no stage kept pictures", (middle_x, middle_y), style))?;
@@ -266,9 +272,10 @@ impl<'a> Plot<'a> {
     /// A mark where each level of detail was reached.
     fn draw_levels(&self, canvas: &Canvas<'_>) -> Drawn {
         for (level, triangles) in self.params.levels.iter().enumerate() {
-            let Some(spot) = self.spots.iter().find(|s| s.triangles <= *triangles) else {
-                continue;
-            };
+            // The end of its optimization, or else where simplification reached it.
+            let optimized = self.spots.iter().rfind(|s| s.level == Some(level as u32));
+            let reached = || self.spots.iter().find(|s| s.triangles <= *triangles);
+            let Some(spot) = optimized.or_else(reached) else { continue };
             let (x, y) = (self.x.at(spot.x), self.y.at(spot.d2));
             for dash in (self.top()..self.bottom()).step_by(px(8) as usize) {
                 let end = (dash + px(4)).min(self.bottom());
@@ -289,7 +296,7 @@ impl<'a> Plot<'a> {
     }
 
     fn draw_curves(&self, canvas: &Canvas<'_>) -> Drawn {
-        for run in self.spots.chunk_by(|a, b| a.stage == b.stage) {
+        for run in self.spots.chunk_by(|a, b| (a.stage, a.level) == (b.stage, b.level)) {
             let points = self.thinned(run);
             let style = stroke(stage_colour(run[0].stage), 2);
             canvas.draw(&PathElement::new(points, style))?;
@@ -343,7 +350,8 @@ fn spots(samples: &[CurvePoint], x: PlotX) -> Vec<Spot> {
             PlotX::Triangles => f64::from(sample.triangles.max(1)),
             PlotX::Evaluations => (before + last) as f64,
         };
-        spots.push(Spot { stage: sample.stage, x, d2, triangles: sample.triangles });
+        let CurvePoint { stage, level, triangles, .. } = *sample;
+        spots.push(Spot { stage, level, x, d2, triangles });
     }
     spots
 }
@@ -414,8 +422,10 @@ mod tests {
     use super::*;
 
     fn curve() -> Vec<CurvePoint> {
-        let point =
-            |stage, evaluations, triangles, d2| CurvePoint { stage, evaluations, triangles, d2 };
+        let point = |stage, evaluations, triangles, d2| {
+            let level = (stage == Stage::Optimize).then_some(1);
+            CurvePoint { stage, evaluations, triangles, level, d2 }
+        };
         let mut points = vec![
             point(Stage::Memoryless, 0, 69_451, None),
             point(Stage::Memoryless, 9_000, 5_332, None),
@@ -441,7 +451,7 @@ mod tests {
         {
             assert!(svg.contains(words), "{words}");
         }
-        assert!(svg.contains("LOD 0: 3,000") && svg.contains("LOD 1: 1,334"));
+        assert!(svg.contains("LOD 0: 3,000") && svg.contains("LOD 1: 1,334, 3.1 %"));
         assert!(plot(PlotX::Evaluations).contains("evaluations"));
         assert!(svg.len() < 60_000, "{} bytes: the curve is not thinned", svg.len());
     }
@@ -456,7 +466,8 @@ mod tests {
 
     #[test]
     fn curves_without_points_or_extent_still_give_a_plot() {
-        let point = CurvePoint { stage: Stage::Image, evaluations: 0, triangles: 0, d2: Some(0.0) };
+        let (stage, level, d2) = (Stage::Image, None, Some(0.0));
+        let point = CurvePoint { stage, evaluations: 0, triangles: 0, level, d2 };
         let unseen = CurvePoint { d2: None, ..point };
         let unbounded = CurvePoint { d2: Some(f64::INFINITY), ..point };
         for samples in [&[][..], &[point], &[point, point], &[unseen], &[unbounded]] {
@@ -481,7 +492,7 @@ mod tests {
 
     #[test]
     fn a_wide_range_of_d2_gets_a_logarithmic_axis() {
-        let spot = |d2| Spot { stage: Stage::Image, x: 1.0, d2, triangles: 1 };
+        let spot = |d2| Spot { stage: Stage::Image, level: None, x: 1.0, d2, triangles: 1 };
         assert!(y_axis(&[spot(0.05), spot(4.0)], 0.0..1.0).logarithmic);
         assert!(!y_axis(&[spot(0.0), spot(4.0)], 0.0..1.0).logarithmic);
         assert!(!y_axis(&[spot(1.0), spot(4.0)], 0.0..1.0).logarithmic);

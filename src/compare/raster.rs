@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 
 use super::scan::{Band, Paint, Spot, rows_spanned};
 use crate::{
-    mesh::{Mesh, Semantic},
+    mesh::{Mesh, Semantic, WedgeId},
     metric::image::{luminance, srgb_from_linear},
     render::view::{Projection, View},
 };
@@ -84,8 +84,8 @@ pub struct Drawable<'m, const N: usize> {
     mesh: &'m Mesh,
     /// Unit normal of each triangle, zero where it has none.
     face_normals: Vec<DVec3>,
-    /// Unit normal at each vertex; empty unless the shading is smooth.
-    vertex_normals: Vec<DVec3>,
+    /// Unit normal at each corner; empty unless the shading is smooth.
+    corner_normals: Vec<[DVec3; 3]>,
     /// Colour of each corner; empty when the surface is white.
     corner_colours: Vec<[[f32; N]; 3]>,
 }
@@ -108,9 +108,12 @@ impl<'m> Drawable<'m, 3> {
 impl<'m, const N: usize> Drawable<'m, N> {
     fn new(mesh: &'m Mesh, look: &Look, encode: impl Fn([f32; 3]) -> [f32; N]) -> Self {
         let area_normals = area_normals(mesh);
-        let vertex_normals = match look.shading {
+        let corner_normals = match look.shading {
             Shading::Flat => Vec::new(),
-            Shading::Smooth => smooth_normals(mesh, &area_normals),
+            Shading::Smooth => {
+                let normals = smooth_normals(mesh, &area_normals);
+                mesh.faces.iter().map(|f| f.map(|v| normals[v as usize])).collect()
+            }
         };
         let corner_colours = match look.appearance {
             Appearance::White => Vec::new(),
@@ -119,7 +122,21 @@ impl<'m, const N: usize> Drawable<'m, N> {
             }
         };
         let face_normals = area_normals.into_iter().map(DVec3::normalize_or_zero).collect();
-        Self { mesh, face_normals, vertex_normals, corner_colours }
+        Self { mesh, face_normals, corner_normals, corner_colours }
+    }
+
+    /// The same with the normals that the mesh has as an attribute, brought to unit length as in a
+    /// glTF file. Changes nothing in flat shading, or where there are none.
+    #[must_use]
+    pub fn with_stored_normals(self) -> Self {
+        let layer = self.mesh.layer(Semantic::Normal).filter(|layer| layer.width == 3);
+        let Some(layer) = layer.filter(|_| !self.corner_normals.is_empty()) else { return self };
+        let stored = |w: u32| match layer.get(WedgeId(w)) {
+            &[x, y, z] => DVec3::new(x.into(), y.into(), z.into()).normalize_or_zero(),
+            _ => DVec3::ZERO,
+        };
+        let corner_normals = self.mesh.face_wedges.iter().map(|f| f.map(stored)).collect();
+        Self { corner_normals, ..self }
     }
 
     fn paints(&self, face: usize, view: &View, look: &Look) -> [Paint<N>; 3] {
@@ -131,10 +148,9 @@ impl<'m, const N: usize> Drawable<'m, N> {
             let lambert = (to_viewer * shading_normal.dot(view.to_light)).max(0.0);
             (look.ambient + (1.0 - look.ambient) * lambert) as f32
         };
-        let shades = if self.vertex_normals.is_empty() {
-            [shade((points[0] + points[1] + points[2]) / 3.0, normal); 3]
-        } else {
-            [0, 1, 2].map(|k| shade(points[k], self.vertex_normals[corners[k]]))
+        let shades = match self.corner_normals.get(face) {
+            None => [shade((points[0] + points[1] + points[2]) / 3.0, normal); 3],
+            Some(normals) => [0, 1, 2].map(|k| shade(points[k], normals[k])),
         };
         let colours = self.corner_colours.get(face).copied().unwrap_or([[1.0; N]; 3]);
         [0, 1, 2].map(|k| Paint { shade: shades[k], colour: colours[k] })
@@ -375,6 +391,19 @@ mod tests {
         assert_eq!(normals[0], normals[3]);
         assert!(normals[0].distance(DVec3::new(1.0, 0.0, 1.0).normalize_or_zero()) < 1e-12);
         assert_eq!(normals[1], DVec3::Z);
+    }
+
+    #[test]
+    fn stored_normals_take_the_place_of_derived_ones() {
+        let mut mesh = Mesh::from_parts(vec![DVec3::ZERO, DVec3::X, DVec3::Y], vec![[0, 1, 2]]);
+        mesh.face_wedges = vec![[0, 1, 2]];
+        let values = vec![3.0, 0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0];
+        mesh.layers = vec![AttributeLayer { semantic: Semantic::Normal, width: 3, values }];
+        let smooth = Look { shading: Shading::Smooth, ..small() };
+        let drawn = Drawable::luminance(&mesh, &smooth).with_stored_normals();
+        assert_eq!(drawn.corner_normals, [[DVec3::X, DVec3::Y, DVec3::ZERO]]);
+        let flat = Drawable::luminance(&mesh, &small()).with_stored_normals();
+        assert!(flat.corner_normals.is_empty());
     }
 
     #[test]

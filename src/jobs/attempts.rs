@@ -47,10 +47,17 @@ impl Jobs {
         self.0.store.heartbeat(lease, &self.0.terms).await
     }
 
-    /// The file of the input of the job under `lease`.
-    pub async fn input(&self, lease: &Lease) -> Result<PathBuf> {
+    /// The file of an input of the job under `lease`: of the mesh of that hash, which the job must
+    /// name, or of the original where the hash is empty.
+    pub async fn input(&self, lease: &Lease, hash: &str) -> Result<PathBuf> {
         let job = self.0.store.check(lease).await?;
-        Ok(self.0.blobs.mesh(&job.mesh))
+        let simplified = job.spec.simplified.as_ref().map(|input| &input.mesh);
+        let wanted = if hash.is_empty() { &job.mesh } else { hash };
+        if wanted != job.mesh && simplified.is_none_or(|mesh| mesh != wanted) {
+            let text = format!("meshes/{} is no input of {}", hash.escape_default(), job.name());
+            return Err(Error::invalid("mesh", text));
+        }
+        Ok(self.0.blobs.mesh(wanted))
     }
 
     /// Appends to the log. `first` is the number (from 0) of the attempt's event that `reports`

@@ -106,17 +106,21 @@ impl Jobs {
         if id.len() > 128 || !id.bytes().all(|c| c.is_ascii_graphic() || c == b' ') {
             fault("request_id", "use at most 128 printable ASCII characters".into());
         }
-        if !is_hash(&new.mesh) {
-            fault("mesh", "use the name that UploadMesh returned, `meshes/{hash}`".into());
-        } else if self.find_mesh(&new.mesh).await?.is_none() {
-            fault("mesh", format!("meshes/{} is not stored: upload it first", new.mesh));
-        }
-        if !is_file_name(&new.file_name) {
-            let text = format!(
-                "`{}` is not a file name with an extension, such as `bunny.ply`",
-                new.file_name.escape_default()
-            );
-            fault("file_name", text);
+        for (prefix, mesh, file_name) in inputs(new) {
+            if !is_hash(mesh) {
+                let text = "use the name that UploadMesh returned, `meshes/{hash}`";
+                fault(&format!("{prefix}mesh"), text.into());
+            } else if self.find_mesh(mesh).await?.is_none() {
+                let text = format!("meshes/{mesh} is not stored: upload it first");
+                fault(&format!("{prefix}mesh"), text);
+            }
+            if !is_file_name(file_name) {
+                let text = format!(
+                    "`{}` is not a file name with an extension, such as `bunny.ply`",
+                    file_name.escape_default()
+                );
+                fault(&format!("{prefix}file_name"), text);
+            }
         }
         faults.extend(
             new.spec
@@ -171,6 +175,13 @@ impl Jobs {
         let path = self.0.blobs.artifact(id, job.epoch, &artifact.file);
         Ok((artifact, path))
     }
+}
+
+/// The models that a job names: where in the request, hash, file name.
+fn inputs(new: &NewJob) -> impl Iterator<Item = (&'static str, &str, &str)> {
+    let simplified = new.spec.simplified.as_ref();
+    let simplified = simplified.map(|i| ("spec.simplified.", &*i.mesh, &*i.file_name));
+    std::iter::once(("", &*new.mesh, &*new.file_name)).chain(simplified)
 }
 
 /// One path component with an extension. It is shown and its extension read; it never names a file

@@ -90,6 +90,30 @@ pub struct EnergySample {
     pub energy: Option<u64>,
     /// The papers' d2, percent of full scale.
     pub d2: Option<f64>,
+    /// Which level is being optimized, from 0 in the order asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub level: Option<u32>,
+    /// Energy as a share of what it was when this level's optimization began.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub energy_ratio: Option<f64>,
+    /// d2 over views that the job does not work with, percent of full scale; now and then.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub d2_unseen: Option<f64>,
+}
+
+/// What a kind of move has done in an optimization so far.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct MoveCount {
+    /// Its name, such as `swap 1`.
+    pub name: String,
+    /// Times it was tried.
+    pub tried: u64,
+    /// Times it was accepted.
+    pub accepted: u64,
+    /// Energy evaluations spent on it.
+    pub evaluations: u64,
+    /// Energy that it has taken off.
+    pub reduction: i64,
 }
 
 /// What a worker says of its attempt.
@@ -114,8 +138,19 @@ pub enum Report {
     },
     /// A point of the energy curve.
     Sample(EnergySample),
-    /// Encoded progressive-mesh records (`progressive::codec`), in order.
+    /// What each kind of move has done to a level since its optimization began.
+    Moves {
+        /// The level, from 0 in the order asked for.
+        level: u32,
+        /// Kinds of moves that were tried.
+        moves: Vec<MoveCount>,
+    },
+    /// Encoded records, in order: collapses from the original to the coarsest level or, with a
+    /// level, the edits that optimize it.
     Records {
+        /// The level being optimized, from 0 in the order asked for.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        level: Option<u32>,
         /// Index of the first record in the chunk.
         first: u64,
         /// Records in the chunk.

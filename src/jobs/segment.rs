@@ -90,7 +90,7 @@ mod tests {
     use super::*;
 
     fn records(first: u64, bytes: Vec<u8>) -> Report {
-        Report::Records { first, count: 1, bytes }
+        Report::Records { level: None, first, count: 1, bytes }
     }
 
     #[test]

@@ -69,7 +69,8 @@ async fn a_job_from_creation_to_its_artifacts() {
     let jobs = open(dir.path()).await;
     let job = create(&jobs).await;
     let (_, lease) = claim(&jobs, "w").await.unwrap();
-    let records = |first: u64, byte| Report::Records { first, count: 1, bytes: vec![byte; 9] };
+    let records =
+        |first: u64, byte| Report::Records { level: None, first, count: 1, bytes: vec![byte; 9] };
     jobs.append(&lease, 0, vec![note("a"), records(0, 7), records(1, 8)]).await.unwrap();
     // The same batch again, and one that overlaps it.
     jobs.append(&lease, 0, vec![note("a"), records(0, 7), records(1, 8)]).await.unwrap();
@@ -107,7 +108,7 @@ async fn a_stale_lease_can_write_nothing() {
         let outcome = Outcome::Succeeded(vec![]);
         let refusals = [
             jobs.heartbeat(&old).await.err(),
-            jobs.input(&old).await.err(),
+            jobs.input(&old, "").await.err(),
             jobs.append(&old, 0, vec![note("late")]).await.err(),
             put(&jobs, &old, "x", b"1").await.err(),
             jobs.complete(&old, &outcome).await.err(),
@@ -277,7 +278,7 @@ async fn followers_see_everything_live_wherever_they_begin() {
         let (_, lease) = claim(&jobs, "w").await.unwrap();
         for first in 0..20 {
             let bytes = vec![first as u8; 100];
-            let records = Report::Records { first, count: 1, bytes };
+            let records = Report::Records { level: None, first, count: 1, bytes };
             jobs.append(&lease, first, vec![records]).await.unwrap();
         }
         jobs.complete(&lease, &Outcome::Failed("BAD".into(), "bad".into())).await.unwrap();

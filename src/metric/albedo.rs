@@ -38,6 +38,11 @@ impl Albedo {
         albedo
     }
 
+    /// Whether the whole model is white.
+    pub fn is_white(&self) -> bool {
+        self.materials.is_empty() && self.wedges.is_empty()
+    }
+
     /// Takes in wedges that were appended since, and forgets those that an undo removed.
     pub fn extend(&mut self, mesh: &Mesh) {
         self.wedges.truncate(mesh.n_wedges());

@@ -12,6 +12,7 @@ mod template;
 #[cfg(test)]
 mod template_tests;
 
+pub use albedo::Albedo;
 pub use objective::{
     Objective, Pictures, bounding_sphere, d2_percent, reference_pictures, scene_of_edit_mesh,
     scene_with_normals, stored_normal, with_vertex_normals,

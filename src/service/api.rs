@@ -12,6 +12,7 @@ use super::{convert, observe::Observer, proto::v1, status, status::status_of, tr
 use crate::jobs::{
     Jobs,
     clients::{Announced, StoredMesh},
+    error::Error,
     state::State,
     store::NewJob,
 };
@@ -70,7 +71,14 @@ impl v1::lookalike_service_server::LookalikeService for Api {
             file_name: request.file_name,
             spec,
         };
-        let job = self.jobs.create(new, faults).await.map_err(|e| status_of(&e))?;
+        let spec = new.spec.clone();
+        let on_wire = |mut error: Error| {
+            if let Error::Invalid(faults) = &mut error {
+                faults.iter_mut().for_each(|f| f.field = convert::field_on_wire(&spec, &f.field));
+            }
+            status_of(&error)
+        };
+        let job = self.jobs.create(new, faults).await.map_err(on_wire)?;
         tracing::info!(job = job.id, state = %job.state, "job created");
         Ok(Response::new(v1::CreateJobResponse { job: Some(convert::job_to_wire(&job)) }))
     }
@@ -139,7 +147,7 @@ impl v1::lookalike_service_server::LookalikeService for Api {
         let request = request.into_inner();
         let id = convert::job_id("name", &request.name)?;
         match self.jobs.delete(&id).await {
-            Err(crate::jobs::error::Error::NotFound(_)) if request.allow_missing => {}
+            Err(Error::NotFound(_)) if request.allow_missing => {}
             deleted => deleted.map_err(|e| status_of(&e))?,
         }
         tracing::info!(job = id, "job deleted");

@@ -136,6 +136,9 @@ mod tests {
             triangles: 1,
             energy: None,
             d2: None,
+            level: None,
+            energy_ratio: None,
+            d2_unseen: None,
         })
     }
 

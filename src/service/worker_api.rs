@@ -74,8 +74,10 @@ impl worker::worker_service_server::WorkerService for WorkerApi {
         &self,
         request: Request<worker::FetchMeshRequest>,
     ) -> Result<Response<Self::FetchMeshStream>, Status> {
-        let lease = convert::lease_from_wire(request.into_inner().lease)?;
-        let path = self.jobs.input(&lease).await.map_err(|e| status_of(&e))?;
+        let request = request.into_inner();
+        let lease = convert::lease_from_wire(request.lease)?;
+        let hash = convert::mesh_hash(&request.mesh);
+        let path = self.jobs.input(&lease, &hash).await.map_err(|e| status_of(&e))?;
         let bytes = transfer::send(path, 0, u64::MAX).await.map_err(|e| status_of(&e))?;
         let answers = bytes.map_ok(|data| worker::FetchMeshResponse { data });
         let answers = answers.map_err(|e| status_of(&e));

@@ -19,7 +19,7 @@ use super::{
     agent::WorkerConfig,
     link::{Link, LinkError},
     outbox::{AHEAD, Outbox},
-    pipeline::{DeviceChoice, Pipeline, PipelineError},
+    pipeline::{DeviceChoice, Inputs, ModelFile, Pipeline, PipelineError},
 };
 use crate::{
     jobs::{event::Report, lease::Lease, spec::Spec, store::Outcome},
@@ -96,7 +96,7 @@ pub async fn run(
     let (send, mut reports) = mpsc::channel(AHEAD);
     let (lease, heartbeat) = (work.lease.clone(), work.heartbeat);
     let input = tokio::select! {
-        input = link.fetch_mesh(&lease) => input?,
+        input = fetch(link, &work) => input?,
         lost = keep_alive(link, &lease, heartbeat, &stop, drain) => return Err(lost),
     };
     let (folder, device, pipeline) =
@@ -192,10 +192,20 @@ impl Fault {
     }
 }
 
+/// The bytes of the original, and of the simplified mesh where the job has one.
+async fn fetch(link: &Link, work: &Work) -> Result<(Vec<u8>, Option<Vec<u8>>), LinkError> {
+    let original = link.fetch_mesh(&work.lease, "").await?;
+    let simplified = match &work.spec.simplified {
+        Some(input) => Some(link.fetch_mesh(&work.lease, &input.mesh).await?),
+        None => None,
+    };
+    Ok((original, simplified))
+}
+
 fn guarded(
     pipeline: Pipeline,
     work: &Work,
-    input: &[u8],
+    (original, simplified): &(Vec<u8>, Option<Vec<u8>>),
     (out_dir, device): (&Path, &DeviceChoice),
     reports: &mpsc::Sender<Report>,
     stopped: &watch::Receiver<Option<Stop>>,
@@ -208,7 +218,12 @@ fn guarded(
             ControlFlow::Break(())
         }
     };
-    let run = || pipeline(&work.spec, &work.file_name, input, out_dir, device, &mut on);
+    let simplified = simplified.as_deref().zip(work.spec.simplified.as_ref());
+    let inputs = Inputs {
+        original: ModelFile { name: &work.file_name, bytes: original },
+        simplified: simplified.map(|(bytes, i)| ModelFile { name: &i.file_name, bytes }),
+    };
+    let run = || pipeline(&work.spec, &inputs, out_dir, device, &mut on);
     match catch_unwind(AssertUnwindSafe(run)) {
         Ok(result) => result.map_err(Fault::Pipeline),
         Err(payload) => Err(Fault::panic(&panic_text(payload.as_ref()))),

@@ -6,7 +6,7 @@ use crate::{
     jobs::spec::Spec,
     memoryless,
     mesh::{EditMesh, Mesh},
-    simplify,
+    optimize, simplify,
 };
 
 use super::{pipeline::PipelineError, recorder::Recorder};
@@ -26,6 +26,10 @@ pub enum StoppedBy {
     Evaluations,
     /// The cap on wall-clock time is reached.
     Seconds,
+    /// The energy has fallen as far as was asked (optimization).
+    Energy,
+    /// Nothing that was tried helps any more (optimization).
+    Converged,
 }
 
 impl StoppedBy {
@@ -47,6 +51,54 @@ impl StoppedBy {
             simplify::StoppedBy::Caller => Self::Seconds,
         }
     }
+
+    /// Of an optimization.
+    pub(super) fn of_optimization(by: optimize::StoppedBy) -> Self {
+        match by {
+            optimize::StoppedBy::Evaluations => Self::Evaluations,
+            optimize::StoppedBy::Energy => Self::Energy,
+            optimize::StoppedBy::Converged => Self::Converged,
+            optimize::StoppedBy::Caller => Self::Seconds,
+        }
+    }
+}
+
+/// What optimization has done to a level.
+#[derive(Clone, Debug, Serialize)]
+pub struct Optimized {
+    /// Energy evaluations.
+    pub evaluations: u64,
+    /// Seconds.
+    pub seconds: f64,
+    /// Sum of squared luminance differences on the run-time views before.
+    pub energy_before: u64,
+    /// The same after.
+    pub energy_after: u64,
+    /// After as a share of before.
+    pub energy_ratio: f64,
+    /// d2 before and after on 24 views that the job did not work with, percent of full scale.
+    pub d2_unseen_percent: Option<[f64; 2]>,
+    /// Edits made.
+    pub edits: u32,
+    /// What each kind of move has done.
+    pub moves: Vec<Moves>,
+    /// What ended it.
+    pub stopped_by: StoppedBy,
+}
+
+/// What a kind of move has done to a level.
+#[derive(Clone, Debug, Serialize)]
+pub struct Moves {
+    /// Its name.
+    pub name: &'static str,
+    /// Times it was tried.
+    pub tried: u64,
+    /// Times it was accepted.
+    pub accepted: u64,
+    /// Evaluations spent on it.
+    pub evaluations: u64,
+    /// Energy that it has taken off.
+    pub reduction: i64,
 }
 
 /// One finished level.
@@ -54,14 +106,29 @@ impl StoppedBy {
 pub struct Level {
     /// Triangles asked for.
     pub target: usize,
+    /// Its place in the order asked for, from 0.
+    pub index: usize,
     /// The mesh.
     pub mesh: Mesh,
     /// Sum of squared luminance differences on the run-time views, if they were drawn.
     pub energy: Option<u64>,
     /// d2 on the run-time views, percent.
     pub d2: Option<f64>,
-    /// What ended the work on it.
+    /// What ended its simplification.
     pub stopped_by: StoppedBy,
+    /// What optimization has done to it.
+    pub optimized: Option<Optimized>,
+}
+
+impl Level {
+    /// Its name in the progressive mesh.
+    pub fn name(&self) -> String {
+        level_name(self.index)
+    }
+}
+
+fn level_name(index: usize) -> String {
+    format!("lod-{index}")
 }
 
 /// All levels of a job.
@@ -72,6 +139,8 @@ pub struct Levels {
     pending: Vec<usize>,
     done: Vec<Level>,
     n_original: usize,
+    /// The one level came with the job.
+    is_given: bool,
     stop: StoppedBy,
     energy: Option<u64>,
     d2: Option<f64>,
@@ -80,7 +149,16 @@ pub struct Levels {
 impl Levels {
     /// The levels a job asks for.
     pub fn new(spec: &Spec, n_original: usize) -> Self {
-        let asked: Vec<usize> = spec.triangles.iter().map(|t| *t as usize).collect();
+        let asked = spec.triangles.iter().map(|t| *t as usize).collect();
+        Self::of_targets(asked, n_original, false)
+    }
+
+    /// The one level of a mesh that is simplified already.
+    pub fn of_simplified(n_triangles: usize, n_original: usize) -> Self {
+        Self::of_targets(vec![n_triangles], n_original, true)
+    }
+
+    fn of_targets(asked: Vec<usize>, n_original: usize, is_given: bool) -> Self {
         let mut pending = asked.clone();
         pending.sort_unstable();
         pending.dedup();
@@ -89,6 +167,7 @@ impl Levels {
             pending,
             done: Vec::new(),
             n_original,
+            is_given,
             stop: StoppedBy::Input,
             energy: None,
             d2: None,
@@ -144,14 +223,16 @@ impl Levels {
     /// Takes the current mesh as the next level. False when no later level can be reached.
     pub fn take(&mut self, mesh: &EditMesh, recorder: &mut Recorder<'_>) -> bool {
         let Some(target) = self.pending.pop() else { return false };
-        let first = self.asked.iter().position(|t| *t == target).unwrap_or(0);
-        recorder.mark_level(&format!("lod-{first}"));
+        let index = self.asked.iter().position(|t| *t == target).unwrap_or(0);
+        recorder.mark_level(&level_name(index));
         self.done.push(Level {
             target,
+            index,
             mesh: mesh.snapshot(),
             energy: self.energy,
             d2: self.d2,
             stopped_by: self.stop,
+            optimized: None,
         });
         matches!(self.stop, StoppedBy::Input | StoppedBy::Triangles) && !self.pending.is_empty()
     }
@@ -161,6 +242,12 @@ impl Levels {
         while !self.pending.is_empty() {
             self.take(mesh, recorder);
         }
+    }
+
+    /// The levels that optimization can change, finest first: all but those that are the original.
+    pub fn simplified(&mut self) -> impl Iterator<Item = &mut Level> {
+        let is_given = self.is_given;
+        self.done.iter_mut().filter(move |l| is_given || l.stopped_by != StoppedBy::Input)
     }
 
     /// Levels in the order asked for.

@@ -93,9 +93,10 @@ impl Link {
         Ok(self.answered(CALL, call).await?.cancel_requested)
     }
 
-    /// The bytes of the input.
-    pub async fn fetch_mesh(&self, lease: &Lease) -> Result<Vec<u8>, LinkError> {
-        let request = wire::FetchMeshRequest { lease: Some(convert::lease_to_wire(lease)) };
+    /// The bytes of an input: of the mesh of that hash, or of the original where it is empty.
+    pub async fn fetch_mesh(&self, lease: &Lease, hash: &str) -> Result<Vec<u8>, LinkError> {
+        let mesh = if hash.is_empty() { String::new() } else { convert::mesh_name(hash) };
+        let request = wire::FetchMeshRequest { lease: Some(convert::lease_to_wire(lease)), mesh };
         let call = |mut client: WorkerServiceClient<Channel>| {
             let request = request.clone();
             async move {

@@ -9,11 +9,18 @@
 
 pub mod agent;
 pub mod attempt;
+mod branch;
+mod budget;
+mod critic;
 mod levels;
 pub mod link;
+mod optimizing;
 pub mod outbox;
 mod params;
 pub mod pipeline;
+mod progress;
 mod recorder;
 mod results;
+mod simplifying;
+mod studio;
 pub mod supervisor;

@@ -182,7 +182,7 @@ mod tests {
         batch.add(Report::Note { code: "A".into(), text: String::new() });
         assert!(batch.is_full());
         let mut batch = Batch::default();
-        batch.add(Report::Records { first: 0, count: 1, bytes: vec![0; MAX_BYTES] });
+        batch.add(Report::Records { level: None, first: 0, count: 1, bytes: vec![0; MAX_BYTES] });
         assert!(batch.is_full());
     }
 

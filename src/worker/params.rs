@@ -5,19 +5,17 @@ use glam::DVec3;
 use crate::{
     jobs::spec::{self, Effort, Projection, Shading, Spec},
     memoryless,
-    mesh::{EditMesh, Mesh, Topology},
-    metric::{Objective, Pictures, bounding_sphere, reference_pictures, scene_of_edit_mesh},
+    mesh::{Mesh, Topology},
+    metric::{Pictures, bounding_sphere},
+    optimize,
     render::{
-        self, RenderParams, choose,
+        self, RenderParams,
         view::{self, ViewParams, cameras, directions},
     },
     simplify::{self, Placements, Policy, Rules},
 };
 
-use super::{
-    pipeline::{DeviceChoice, PipelineError},
-    recorder::Recorder,
-};
+use super::budget::Budget;
 
 /// Memoryless parameters.
 pub fn memoryless(spec: &Spec) -> memoryless::Params {
@@ -55,6 +53,23 @@ pub fn image(spec: &Spec) -> simplify::Params {
     }
 }
 
+/// Parameters of the optimization of a level.
+pub fn optimization(spec: &Spec, budget: &Budget) -> optimize::Params {
+    optimize::Params {
+        seed: spec.seed,
+        max_evaluations: budget.evaluations.unwrap_or(0),
+        until: budget.until.unwrap_or(0.0),
+        delta: spec.optimize.delta,
+        solver: match spec.optimize.solver {
+            spec::Solver::Quadratic => optimize::Solver::Quadratic,
+            spec::Solver::Simplex => optimize::Solver::Simplex,
+        },
+        closes_holes: topology(spec) == Topology::Free,
+        optimizes_normals: spec.optimize.normals,
+        ..optimize::Params::default()
+    }
+}
+
 /// Cameras and drawing.
 pub fn pictures(spec: &Spec, original: &Mesh) -> Pictures {
     let r = &spec.render;
@@ -86,27 +101,4 @@ pub fn pictures(spec: &Spec, original: &Mesh) -> Pictures {
             interior_views: r.interior_views as usize,
         },
     }
-}
-
-/// Draws the original and the current mesh, on the chosen device.
-pub fn objective(
-    spec: &Spec,
-    original: &Mesh,
-    mesh: &EditMesh,
-    device: &DeviceChoice,
-    recorder: &mut Recorder<'_>,
-) -> Result<Objective, PipelineError> {
-    let pictures = pictures(spec, original);
-    let reference = reference_pictures(original, &pictures);
-    let scene = scene_of_edit_mesh(mesh, &pictures);
-    let choice = choose(&device.0, &scene, reference)?;
-    for (name, evaluations_per_sec) in &choice.figures {
-        let text = format!("{name}: {evaluations_per_sec:.0} evaluations/s");
-        recorder.note("DEVICE_MEASURED", &text)?;
-    }
-    for note in &choice.notes {
-        recorder.note("DEVICE_NOTE", note)?;
-    }
-    recorder.note("DEVICE_CHOSEN", &choice.evaluator.name())?;
-    Ok(Objective::new(mesh, scene, choice.evaluator))
 }

@@ -3,28 +3,22 @@
 //! Invariants:
 //! 1. artifacts other than `report.json` and the seconds column of `energy.csv` depend on the
 //!    input, the specification and the build alone, not on the device, threads or time;
-//! 2. every accepted collapse is recorded once, in order, in the stream and in `progressive.lkpm`.
+//! 2. every accepted edit is recorded once, in order, in the stream and in `progressive.lkpm`.
 
-use std::{ops::ControlFlow, path::Path, time::Instant};
+use std::{cell::OnceCell, ops::ControlFlow, path::Path, time::Instant};
 
 use crate::{
     io,
-    jobs::{
-        event::Report,
-        spec::{Method, Spec},
-    },
-    mesh::{EditMesh, Mesh, Stage},
+    jobs::{event::Report, spec::Spec},
+    mesh::{EditMesh, Mesh, Semantic},
+    metric::with_vertex_normals,
+    optimize::OptimizeError,
     progressive::ProgressiveError,
     render::RenderError,
     simplify::SimplifyError,
 };
 
-use super::{
-    levels::{Levels, StoppedBy},
-    params,
-    recorder::Recorder,
-    results::{self, StageFigures},
-};
+use super::{critic::Critic, optimizing, recorder::Recorder, results, simplifying, studio::Studio};
 
 /// Which evaluator to use: `auto` measures and takes the fastest, `cpu` is the native twin,
 /// anything else names an adapter.
@@ -65,6 +59,11 @@ impl From<SimplifyError> for PipelineError {
         Self::Machine(e.to_string())
     }
 }
+impl From<OptimizeError> for PipelineError {
+    fn from(e: OptimizeError) -> Self {
+        Self::Machine(e.to_string())
+    }
+}
 impl From<io::IoError> for PipelineError {
     fn from(e: io::IoError) -> Self {
         Self::Job { code: e.code(), text: e.to_string() }
@@ -76,114 +75,108 @@ impl From<ProgressiveError> for PipelineError {
     }
 }
 
+/// The bytes of a model file; the extension of the name gives the format.
+#[derive(Clone, Copy, Debug)]
+pub struct ModelFile<'a> {
+    /// File name.
+    pub name: &'a str,
+    /// Contents.
+    pub bytes: &'a [u8],
+}
+
+/// What a job works on.
+#[derive(Clone, Copy, Debug)]
+pub struct Inputs<'a> {
+    /// The original.
+    pub original: ModelFile<'a>,
+    /// What some tool has simplified it to, where the job is to optimize that.
+    pub simplified: Option<ModelFile<'a>>,
+}
+
+impl<'a> Inputs<'a> {
+    /// The original alone.
+    pub fn of(name: &'a str, bytes: &'a [u8]) -> Self {
+        Self { original: ModelFile { name, bytes }, simplified: None }
+    }
+}
+
 /// What a worker runs: [`run`], or in its place what a test wants to happen.
 pub type Pipeline = fn(
     &Spec,
-    &str,
-    &[u8],
+    &Inputs<'_>,
     &Path,
     &DeviceChoice,
     &mut dyn FnMut(Report) -> ControlFlow<()>,
 ) -> Result<(), PipelineError>;
 
-/// Runs the whole job: reads `input` (the bytes of a model file; `name` gives the format by its
-/// extension), writes every artifact into `out_dir`, and tells `on` of each step. `Break` from `on`
-/// cancels.
+/// What the stages share.
+pub(super) struct Job<'j> {
+    /// What was asked.
+    pub spec: &'j Spec,
+    /// The original, with vertex normals where they are to be optimized.
+    pub original: &'j Mesh,
+    /// Which evaluator.
+    pub device: &'j DeviceChoice,
+    /// The pictures of the original, once a stage has asked for them.
+    pub studio: Option<Studio<'j>>,
+    /// The unseen pictures, likewise.
+    pub critic: &'j OnceCell<Critic<'j>>,
+}
+
+impl<'j> Job<'j> {
+    /// The studio, opened when it is first asked for.
+    pub fn studio(&mut self) -> &mut Studio<'j> {
+        let (spec, original, device) = (self.spec, self.original, self.device);
+        self.studio.get_or_insert_with(|| Studio::open(spec, original, device))
+    }
+}
+
+/// Runs the whole job: reads its inputs, writes every artifact into `out_dir`, and tells `on` of
+/// each step. `Break` from `on` cancels.
 pub fn run(
     spec: &Spec,
-    name: &str,
-    input: &[u8],
+    inputs: &Inputs<'_>,
     out_dir: &Path,
     device: &DeviceChoice,
     on: &mut dyn FnMut(Report) -> ControlFlow<()>,
 ) -> Result<(), PipelineError> {
     let start = Instant::now();
-    let ingest = io::read(name, input, &io::Limits::default())?;
-    let original = ingest.mesh;
-    let mut recorder = Recorder::new(spec, &original, start, on)?;
-    recorder.announce(&ingest.report)?;
-    let mut levels = Levels::new(spec, original.faces.len());
-    levels.announce(&mut recorder)?;
-
-    let mut mesh = editable(&original)?;
-    let mut figures = vec![memoryless_stage(spec, &mut mesh, &mut levels, &mut recorder)?];
-    if spec.method == Method::Image && !levels.is_complete() {
-        figures.push(image_stage(spec, &original, &mut mesh, &mut levels, device, &mut recorder)?);
+    let read = |file: &ModelFile<'_>| io::read(file.name, file.bytes, &io::Limits::default());
+    let (original, simplified) =
+        (read(&inputs.original)?, inputs.simplified.as_ref().map(read).transpose()?);
+    let ingest = original.report;
+    let original = prepared(spec, original.mesh);
+    let critic = OnceCell::new();
+    let base = simplifying::base(spec, &original, simplified.as_ref());
+    let mut recorder = Recorder::new(spec, &base, start, on)?;
+    recorder.announce("model", &ingest)?;
+    if let Some(simplified) = &simplified {
+        recorder.announce("simplified mesh", &simplified.report)?;
     }
-    levels.close(&mesh, &mut recorder);
+    let mut job = Job { spec, original: &original, device, studio: None, critic: &critic };
 
-    let attempt = results::Attempt { spec, ingest: &ingest.report, figures: &figures, start };
+    let mut figures = Vec::new();
+    let mut levels = simplifying::run(&mut job, base, &mut recorder, &mut figures)?;
+    if spec.optimizes() {
+        figures.extend(optimizing::run(&mut job, &mut levels, &mut recorder, &figures)?);
+    }
+
+    let attempt = results::Attempt { spec, ingest: &ingest, figures: &figures, start };
     results::write_all(out_dir, &original, &levels, &mut recorder, &attempt)
 }
 
-fn editable(original: &Mesh) -> Result<EditMesh, PipelineError> {
-    EditMesh::new(original.clone())
+/// The original, with vertex normals where they are to be optimized and it has none: collapses
+/// carry them from level to level.
+fn prepared(spec: &Spec, original: Mesh) -> Mesh {
+    if spec.optimize.normals && spec.optimizes() && original.layer(Semantic::Normal).is_none() {
+        with_vertex_normals(original)
+    } else {
+        original
+    }
+}
+
+/// A mesh that can be edited.
+pub(super) fn editable(mesh: &Mesh) -> Result<EditMesh, PipelineError> {
+    EditMesh::new(mesh.clone())
         .map_err(|e| PipelineError::Job { code: "INVALID_MESH", text: e.to_string() })
-}
-
-/// Memoryless simplification: to the last level, or to where the image-driven stage takes over.
-fn memoryless_stage(
-    spec: &Spec,
-    mesh: &mut EditMesh,
-    levels: &mut Levels,
-    recorder: &mut Recorder<'_>,
-) -> Result<StageFigures, PipelineError> {
-    let mut figures = StageFigures::begin(Stage::Memoryless, "native");
-    let params = params::memoryless(spec);
-    let floor = match spec.method {
-        Method::Memoryless => 0,
-        Method::Image => levels.image_start(spec.start_factor),
-    };
-    recorder.enter(Stage::Memoryless, mesh.n_faces(), floor.max(levels.least()));
-    loop {
-        let next = levels.next_target();
-        let target = next.map_or(floor, |t| t.max(floor));
-        if target < mesh.n_faces() {
-            let outcome = crate::memoryless::simplify(mesh, target as u32, &params, &mut |step| {
-                recorder.step(&step)
-            });
-            figures.add(outcome.collapses, outcome.evaluations);
-            recorder.check()?;
-            levels.set_stop(StoppedBy::of_memoryless(outcome.stopped_by));
-        }
-        if next.is_none_or(|t| t < floor) || !levels.take(mesh, recorder) {
-            break;
-        }
-    }
-    Ok(figures.end())
-}
-
-/// Image-driven simplification of what memoryless left.
-fn image_stage(
-    spec: &Spec,
-    original: &Mesh,
-    mesh: &mut EditMesh,
-    levels: &mut Levels,
-    device: &DeviceChoice,
-    recorder: &mut Recorder<'_>,
-) -> Result<StageFigures, PipelineError> {
-    let setup_start = Instant::now();
-    let mut objective = params::objective(spec, original, mesh, device, recorder)?;
-    let mut figures = StageFigures::begin(Stage::Image, &objective.evaluator_name());
-    figures.setup_secs = setup_start.elapsed().as_secs_f64();
-    recorder.enter(Stage::Image, mesh.n_faces(), levels.least());
-    let mut simplifier =
-        crate::simplify::Simplifier::new(mesh, &mut objective, params::image(spec));
-    while let Some(target) = levels.next_target() {
-        let outcome = simplifier.run_to(target, &mut |step| recorder.step(&step))?;
-        figures.add(outcome.collapses, 0);
-        levels.set_stop(if recorder.is_out_of_time() {
-            StoppedBy::Seconds
-        } else {
-            recorder.check()?;
-            StoppedBy::of_image(outcome.stopped_by)
-        });
-        let (energy, d2) = (simplifier.objective().energy(), simplifier.objective().d2_percent());
-        levels.set_energy(energy, d2);
-        if !levels.take(simplifier.mesh(), recorder) {
-            break;
-        }
-    }
-    figures.evaluations = objective.evaluations();
-    Ok(figures.end())
 }

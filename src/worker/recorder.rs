@@ -1,8 +1,12 @@
 //! Follows the stages of an attempt: keeps every record and sample, streams them, tells progress
 //! with an estimate, and breaks off when the caller or the clock says so.
+//!
+//! Invariants:
+//! 1. collapses of the chain and edits of each level are separate lists of records, each streamed in
+//!    order, without gaps;
+//! 2. samples of a stage count its evaluations over all levels.
 
 use std::{
-    collections::VecDeque,
     ops::ControlFlow,
     time::{Duration, Instant},
 };
@@ -10,91 +14,76 @@ use std::{
 use crate::{
     io::IngestReport,
     jobs::{
-        event::{EnergySample, Report},
-        spec::{Method, Spec},
+        event::{EnergySample, MoveCount, Report},
+        spec::Spec,
     },
-    mesh::{Collapse, Edit, Mesh, Stage, Step},
-    progressive::{ProgressiveError, Writer, encode_collapse},
+    mesh::{Edit, Mesh, Sample, Stage, Step},
+    progressive::{ProgressiveError, Writer, encode_edit},
 };
 
-use super::pipeline::PipelineError;
+use super::{branch::Branch, pipeline::PipelineError, progress::Progress};
 
 /// Records are streamed in chunks of so many.
 const RECORDS_PER_CHUNK: u32 = 512;
-/// Progress is told this often at most.
-const PROGRESS_INTERVAL: Duration = Duration::from_millis(200);
-/// The estimate looks back over so many progress reports.
-const ESTIMATE_WINDOW: usize = 50;
 
 /// The recorder of one attempt.
 pub struct Recorder<'a> {
     on: &'a mut dyn FnMut(Report) -> ControlFlow<()>,
     start: Instant,
     deadline: Option<Instant>,
-    /// Every collapse of the attempt, in order.
+    /// Every record of the attempt, in order.
     writer: Writer,
     writer_fault: Option<ProgressiveError>,
     /// Encoded records that were not streamed yet.
     pending: Vec<u8>,
     n_pending: u32,
+    n_streamed: u64,
     /// Every sample, in order.
     pub samples: Vec<EnergySample>,
-    n_streamed: u64,
     is_cancelled: bool,
     is_out_of_time: bool,
+    progress: Progress,
     stage: Stage,
     stage_span: (usize, usize),
-    stage_share: (f64, f64),
     n_faces: usize,
-    last_told: Instant,
-    history: VecDeque<(Instant, f64)>,
-    method: Method,
+    /// The level that is being optimized.
+    branch: Option<Branch<'a>>,
 }
 
-/// Share of a job's time that is over when a stage begins and ends, for progress alone.
-const SHARES: [(Method, Stage, (f64, f64)); 3] = [
-    (Method::Memoryless, Stage::Memoryless, (0.05, 0.70)),
-    (Method::Image, Stage::Memoryless, (0.02, 0.10)),
-    (Method::Image, Stage::Image, (0.10, 0.90)),
-];
-
 impl<'a> Recorder<'a> {
-    /// A recorder of what is done to `original`; it tells `on`.
+    /// A recorder of what is done to `base`, the original or the mesh in its place; it tells `on`.
     pub fn new(
         spec: &Spec,
-        original: &Mesh,
+        base: &Mesh,
         start: Instant,
         on: &'a mut dyn FnMut(Report) -> ControlFlow<()>,
     ) -> Result<Self, PipelineError> {
-        let cap = (spec.max_secs > 0.0).then(|| Duration::try_from_secs_f64(spec.max_secs).ok());
+        let cap = (spec.max_secs > 0.0).then_some(spec.max_secs);
         Ok(Self {
             on,
             start,
-            deadline: cap.flatten().and_then(|d| start.checked_add(d)),
-            writer: Writer::new(original)?,
+            deadline: cap.and_then(|secs| after(start, secs)),
+            writer: Writer::new(base)?,
             writer_fault: None,
             pending: Vec::new(),
             n_pending: 0,
-            samples: Vec::new(),
             n_streamed: 0,
+            samples: Vec::new(),
             is_cancelled: false,
             is_out_of_time: false,
+            progress: Progress::new(spec, start),
             stage: Stage::Memoryless,
             stage_span: (0, 0),
-            stage_share: (0.0, 0.0),
-            n_faces: 0,
-            last_told: start,
-            history: VecDeque::new(),
-            method: spec.method,
+            n_faces: base.faces.len(),
+            branch: None,
         })
     }
 
-    /// Tells what was read, with every remark.
-    pub fn announce(&mut self, report: &IngestReport) -> Result<(), PipelineError> {
-        self.n_faces = report.triangles as usize;
+    /// Tells what was read, with every remark. `what` is read out: `model`, `simplified mesh`.
+    pub fn announce(&mut self, what: &str, report: &IngestReport) -> Result<(), PipelineError> {
         let text = format!(
-            "read {} triangles, {} vertices, {} components, {} boundary edges, {} non-manifold \
-             edges; {} degenerate triangles dropped",
+            "{what}: read {} triangles, {} vertices, {} components, {} boundary edges, {} \
+             non-manifold edges; {} degenerate triangles dropped",
             report.triangles,
             report.vertices,
             report.components,
@@ -131,17 +120,16 @@ impl<'a> Recorder<'a> {
         self.check()
     }
 
-    /// A stage begins that goes from so many triangles down to so many.
+    /// A stage begins; if it simplifies, from so many triangles down to so many.
     pub fn enter(&mut self, stage: Stage, from: usize, to: usize) {
         self.stage = stage;
         self.stage_span = (from, to.min(from));
-        let share = SHARES.iter().find(|s| s.0 == self.method && s.1 == stage);
-        self.stage_share = share.map_or((0.9, 1.0), |s| s.2);
+        self.progress.enter(stage);
     }
 
-    /// Whether the wall-clock cap ended the work.
+    /// Whether the wall-clock cap of the job, or of the level being optimized, ended the work.
     pub fn is_out_of_time(&self) -> bool {
-        self.is_out_of_time
+        self.is_out_of_time || self.branch.as_ref().is_some_and(Branch::is_out_of_time)
     }
 
     /// An error when the caller asked to stop.
@@ -155,38 +143,72 @@ impl<'a> Recorder<'a> {
     /// Takes a step of a stage.
     pub fn step(&mut self, step: &Step<'_>) -> ControlFlow<()> {
         match step {
-            Step::Edit(Edit::Collapse(collapse)) => self.edit(collapse),
-            // The stages that simplify make collapses only, and the log holds nothing else.
-            Step::Edit(_) | Step::Moves(_) => ControlFlow::Continue(()),
-            Step::Sample(sample) => {
-                let sample = EnergySample {
-                    stage: sample.stage.name().into(),
-                    evaluations: sample.evaluations,
-                    seconds: self.start.elapsed().as_secs_f64(),
-                    triangles: sample.triangles,
-                    energy: sample.energy,
-                    d2: sample.d2,
-                };
-                self.samples.push(sample.clone());
-                self.report(Report::Sample(sample))
+            Step::Edit(edit) => self.edit(*edit),
+            Step::Sample(sample) => self.sample(sample),
+            Step::Moves(moves) => self.moves(moves),
+            Step::Progress { done, .. } => {
+                self.branch.iter_mut().for_each(|b| b.reached(*done));
+                self.progress()
             }
-            Step::Progress { .. } => self.progress(),
         }
     }
 
-    fn edit(&mut self, collapse: &Collapse) -> ControlFlow<()> {
-        self.n_faces = self.n_faces.saturating_sub(collapse.removed.len());
-        if let Err(fault) = self.writer.push(collapse) {
+    fn edit(&mut self, edit: Edit<'_>) -> ControlFlow<()> {
+        let pushed = match (&mut self.branch, edit) {
+            (Some(branch), edit) => {
+                branch.follow(edit);
+                self.writer.push_edit(edit)
+            }
+            (None, Edit::Collapse(collapse)) => {
+                self.n_faces = self.n_faces.saturating_sub(collapse.removed.len());
+                self.writer.push(collapse)
+            }
+            // The stages that simplify make collapses only.
+            (None, _) => Ok(()),
+        };
+        if let Err(fault) = pushed {
             self.writer_fault = Some(fault);
             return ControlFlow::Break(());
         }
-        encode_collapse(collapse, &mut self.pending);
+        encode_edit(edit, &mut self.pending);
         self.n_pending += 1;
         if self.n_pending >= RECORDS_PER_CHUNK {
             self.stream_records()?;
             return self.progress();
         }
         ControlFlow::Continue(())
+    }
+
+    fn sample(&mut self, sample: &Sample) -> ControlFlow<()> {
+        let mut told = EnergySample {
+            stage: sample.stage.name().into(),
+            evaluations: sample.evaluations,
+            seconds: self.start.elapsed().as_secs_f64(),
+            triangles: sample.triangles,
+            energy: sample.energy,
+            d2: sample.d2,
+            level: None,
+            energy_ratio: None,
+            d2_unseen: None,
+        };
+        if let Some(branch) = &mut self.branch {
+            branch.complete(&mut told);
+        }
+        self.samples.push(told.clone());
+        self.report(Report::Sample(told))
+    }
+
+    fn moves(&mut self, moves: &[crate::mesh::MoveCount]) -> ControlFlow<()> {
+        let Some(branch) = &self.branch else { return ControlFlow::Continue(()) };
+        let count = |m: &crate::mesh::MoveCount| MoveCount {
+            name: m.name.into(),
+            tried: m.tried,
+            accepted: m.accepted,
+            evaluations: m.evaluations,
+            reduction: m.reduction,
+        };
+        let moves = moves.iter().map(count).collect();
+        self.report(Report::Moves { level: branch.level, moves })
     }
 
     /// Streams the records that were not streamed yet.
@@ -197,17 +219,45 @@ impl<'a> Recorder<'a> {
         let (first, count) = (self.n_streamed, std::mem::take(&mut self.n_pending));
         self.n_streamed += u64::from(count);
         let bytes = std::mem::take(&mut self.pending);
-        self.report(Report::Records { first, count, bytes })
+        let level = self.branch.as_ref().map(|b| b.level);
+        self.report(Report::Records { level, first, count, bytes })
     }
 
     /// Gives the present level a name in the progressive mesh.
     pub fn mark_level(&mut self, name: &str) {
-        self.writer.mark_level(name, true);
+        self.writer.mark_level(name);
     }
 
     /// Collapses so far.
     pub fn n_records(&self) -> u32 {
         self.writer.n_records()
+    }
+
+    /// From now on edits belong to the optimization of a level.
+    pub fn begin_branch(&mut self, name: &str, branch: Branch<'a>) -> Result<(), PipelineError> {
+        let _ = self.stream_records();
+        self.check()?;
+        self.writer.begin_edits(name, branch.mesh())?;
+        self.n_streamed = 0;
+        self.branch = Some(branch);
+        Ok(())
+    }
+
+    /// The optimization of a level is over: a last sample says what the unseen views make of it.
+    /// Returns the branch and the number of its edits.
+    pub fn end_branch(&mut self) -> Result<(Option<Branch<'a>>, u32), PipelineError> {
+        let _ = self.stream_records();
+        self.writer.end_edits()?;
+        let n_records = u64::from(self.n_records());
+        let edits = std::mem::replace(&mut self.n_streamed, n_records);
+        let mut branch = self.branch.take();
+        if let (Some(branch), Some(last)) = (&mut branch, self.samples.last().cloned()) {
+            let told = EnergySample { d2_unseen: Some(branch.judge()), ..last };
+            self.samples.push(told.clone());
+            self.tell(Report::Sample(told))?;
+        }
+        self.check()?;
+        Ok((branch, edits as u32))
     }
 
     /// Streams what is left; returns the progressive mesh as a file.
@@ -222,35 +272,27 @@ impl<'a> Recorder<'a> {
             self.is_cancelled = true;
             return ControlFlow::Break(());
         }
-        if self.deadline.is_some_and(|d| Instant::now() >= d) {
-            self.is_out_of_time = true;
-            return ControlFlow::Break(());
-        }
-        ControlFlow::Continue(())
+        let now = Instant::now();
+        self.is_out_of_time |= self.deadline.is_some_and(|d| now >= d);
+        self.branch.iter_mut().for_each(|b| b.look_at(now));
+        if self.is_out_of_time() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
     fn progress(&mut self) -> ControlFlow<()> {
         let now = Instant::now();
-        if now.duration_since(self.last_told) < PROGRESS_INTERVAL {
-            return ControlFlow::Continue(());
-        }
-        self.last_told = now;
         let (from, to) = self.stage_span;
-        let done = from.saturating_sub(self.n_faces) as f64 / (from - to).max(1) as f64;
-        let (share_from, share_to) = self.stage_share;
-        let fraction = share_from + (share_to - share_from) * done.min(1.0);
-        let eta_secs = self.estimate(now, fraction);
-        self.report(Report::Progress { stage: self.stage.name().into(), fraction, eta_secs })
-    }
-
-    /// Seconds to the end at the pace of the last reports.
-    fn estimate(&mut self, now: Instant, fraction: f64) -> Option<f64> {
-        self.history.push_back((now, fraction));
-        if self.history.len() > ESTIMATE_WINDOW {
-            self.history.pop_front();
+        let done = match &self.branch {
+            Some(branch) => branch.done(now),
+            None => from.saturating_sub(self.n_faces) as f64 / (from - to).max(1) as f64,
+        };
+        match self.progress.tell(now, done) {
+            Some(report) => self.report(report),
+            None => ControlFlow::Continue(()),
         }
-        let (then, before) = *self.history.front()?;
-        let pace = (fraction - before) / now.duration_since(then).as_secs_f64();
-        (pace.is_finite() && pace > 0.0).then(|| (1.0 - fraction) / pace)
     }
+}
+
+/// So many seconds later; `None` where that is beyond all clocks.
+pub(super) fn after(then: Instant, secs: f64) -> Option<Instant> {
+    Duration::try_from_secs_f64(secs).ok().and_then(|d| then.checked_add(d))
 }

@@ -12,7 +12,7 @@ use crate::{
 };
 
 use super::{
-    levels::{Level, Levels, StoppedBy},
+    levels::{Level, Levels, Optimized, StoppedBy},
     pipeline::PipelineError,
     recorder::Recorder,
 };
@@ -32,25 +32,47 @@ pub struct StageFigures {
     pub evaluations: u64,
     /// Per second, set-up left out.
     pub evaluations_per_second: f64,
-    /// Edges collapsed.
+    /// Edges collapsed by a stage that simplifies.
     pub collapses: u64,
+    /// Edits made by optimization.
+    pub edits: u64,
+    #[serde(skip)]
+    prepared: Instant,
     #[serde(skip)]
     begun: Option<Instant>,
 }
 
 impl StageFigures {
-    /// A stage begins.
-    pub fn begin(stage: Stage, device: &str) -> Self {
+    /// A stage gets ready.
+    pub fn prepare(stage: Stage) -> Self {
         Self {
             stage: stage.name(),
-            device: device.into(),
+            device: String::new(),
             seconds: 0.0,
             setup_secs: 0.0,
             evaluations: 0,
             evaluations_per_second: 0.0,
             collapses: 0,
-            begun: Some(Instant::now()),
+            edits: 0,
+            prepared: Instant::now(),
+            begun: None,
         }
+    }
+
+    /// It is ready: set-up is over. Only the first call counts.
+    pub fn start(&mut self, device: &str) {
+        if self.begun.is_none() {
+            self.device = device.into();
+            self.begun = Some(Instant::now());
+            self.setup_secs = self.prepared.elapsed().as_secs_f64();
+        }
+    }
+
+    /// A stage without set-up begins.
+    pub fn begin(stage: Stage, device: &str) -> Self {
+        let mut figures = Self::prepare(stage);
+        figures.start(device);
+        figures
     }
 
     /// Adds work done.
@@ -63,7 +85,7 @@ impl StageFigures {
     #[must_use]
     pub fn end(mut self) -> Self {
         let running = self.begun.map_or(0.0, |b| b.elapsed().as_secs_f64());
-        self.seconds = running + self.setup_secs;
+        self.seconds = self.prepared.elapsed().as_secs_f64();
         self.evaluations_per_second = self.evaluations as f64 / running.max(1e-9);
         self
     }
@@ -88,14 +110,14 @@ struct ReportFile<'a> {
     device: &'a str,
     input: &'a IngestReport,
     spec: &'a Spec,
-    levels: Vec<LevelReport>,
+    levels: Vec<LevelReport<'a>>,
     stages: &'a [StageFigures],
     records: u32,
     seconds: f64,
 }
 
 #[derive(Serialize)]
-struct LevelReport {
+struct LevelReport<'a> {
     file: String,
     asked: usize,
     triangles: usize,
@@ -104,6 +126,9 @@ struct LevelReport {
     d2_percent: Option<f64>,
     energy: Option<u64>,
     stopped_by: StoppedBy,
+    /// Absent where the level was not optimized.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    optimization: Option<&'a Optimized>,
 }
 
 /// Writes every artifact and tells of each.
@@ -127,13 +152,10 @@ pub fn write_all(
     write_pictures(&mut out, original, levels)?;
     let samples = &out.recorder.samples;
     let csv = energy_csv(samples);
-    let points: Vec<_> = samples.iter().map(curve_point).collect();
+    let plots = plots(samples, reports.iter().map(|r| r.triangles as u32).collect());
     out.write("energy.csv", "text/csv", csv.as_bytes())?;
-    if points.iter().any(|p| p.d2.is_some()) {
-        let marks = reports.iter().map(|r| r.triangles as u32).collect();
-        let params = compare::PlotParams { levels: marks, ..compare::PlotParams::default() };
-        let plot = compare::energy_plot(&points, &params);
-        out.write("energy.svg", "image/svg+xml", plot.as_bytes())?;
+    for (name, plot) in plots {
+        out.write(name, "image/svg+xml", plot.as_bytes())?;
     }
     let report = ReportFile {
         version: env!("CARGO_PKG_VERSION"),
@@ -163,7 +185,7 @@ impl Output<'_, '_> {
     }
 }
 
-fn level_report(file: String, level: &Level) -> LevelReport {
+fn level_report(file: String, level: &Level) -> LevelReport<'_> {
     LevelReport {
         file,
         asked: level.target,
@@ -172,6 +194,7 @@ fn level_report(file: String, level: &Level) -> LevelReport {
         d2_percent: level.d2,
         energy: level.energy,
         stopped_by: level.stopped_by,
+        optimization: level.optimized.as_ref(),
     }
 }
 
@@ -191,24 +214,52 @@ fn write_pictures(
 }
 
 fn energy_csv(samples: &[EnergySample]) -> String {
-    let mut csv = String::from("seq,stage,evaluations,seconds,triangles,energy,d2\n");
+    let mut csv = String::from(
+        "seq,stage,evaluations,seconds,triangles,energy,d2,level,energy_ratio,d2_unseen\n",
+    );
+    let number = |x: Option<f64>| x.map_or_else(String::new, |x| format!("{x:.6}"));
     for (seq, s) in samples.iter().enumerate() {
         let energy = s.energy.map_or_else(String::new, |e| e.to_string());
-        let d2 = s.d2.map_or_else(String::new, |d| format!("{d:.6}"));
+        let level = s.level.map_or_else(String::new, |l| l.to_string());
+        let [d2, ratio, unseen] = [s.d2, s.energy_ratio, s.d2_unseen].map(number);
         // Writing to a String cannot fail.
         let _ = writeln!(
             csv,
-            "{seq},{},{},{:.3},{},{energy},{d2}",
+            "{seq},{},{},{:.3},{},{energy},{d2},{level},{ratio},{unseen}",
             s.stage, s.evaluations, s.seconds, s.triangles
         );
     }
     csv
 }
 
-fn curve_point(s: &EnergySample) -> compare::CurvePoint {
+/// The curve of the whole job, and that of the optimization closer up, where they have points.
+fn plots(samples: &[EnergySample], levels: Vec<u32>) -> Vec<(&'static str, String)> {
+    let all: Vec<_> = samples.iter().map(|s| curve_point(s, s.d2)).collect();
+    let optimized = samples.iter().filter(|s| s.energy_ratio.is_some());
+    let optimized: Vec<_> =
+        optimized.map(|s| curve_point(s, s.energy_ratio.map(|r| 100.0 * r))).collect();
+    let mut plots = Vec::new();
+    if all.iter().any(|p| p.d2.is_some()) {
+        let params = compare::PlotParams { levels, ..compare::PlotParams::default() };
+        plots.push(("energy.svg", compare::energy_plot(&all, &params)));
+    }
+    if !optimized.is_empty() {
+        let params = compare::PlotParams {
+            title: "Energy of each level while optimizing".into(),
+            x: compare::PlotX::Evaluations,
+            y: "energy, percent of the start",
+            ..compare::PlotParams::default()
+        };
+        plots.push(("optimization.svg", compare::energy_plot(&optimized, &params)));
+    }
+    plots
+}
+
+fn curve_point(s: &EnergySample, d2: Option<f64>) -> compare::CurvePoint {
     let stage = [Stage::Memoryless, Stage::Image, Stage::Optimize]
         .into_iter()
         .find(|stage| stage.name() == s.stage)
         .unwrap_or(Stage::Image);
-    compare::CurvePoint { stage, evaluations: s.evaluations, triangles: s.triangles, d2: s.d2 }
+    let EnergySample { evaluations, triangles, level, .. } = *s;
+    compare::CurvePoint { stage, evaluations, triangles, level, d2 }
 }

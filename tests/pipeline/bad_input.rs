@@ -3,7 +3,7 @@
 use lookalike::{
     io::{Limits, read},
     jobs::spec::{Method, Spec},
-    worker::pipeline::PipelineError,
+    worker::pipeline::{Inputs, PipelineError},
 };
 
 use super::support::{job, real_model, sample};
@@ -85,8 +85,7 @@ fn cancelling_stops_the_job_at_once() {
     let mut reports = 0;
     let result = lookalike::worker::pipeline::run(
         &spec,
-        "sample.glb",
-        &sample(6000),
+        &Inputs::of("sample.glb", &sample(6000)),
         dir.path(),
         &device,
         &mut |_| {

@@ -10,6 +10,7 @@
 mod agreement;
 mod bad_input;
 mod determinism;
+mod optimizing;
 mod quality;
 mod support;
 mod topology;

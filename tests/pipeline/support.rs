@@ -5,15 +5,22 @@ use std::{collections::BTreeMap, fs, ops::ControlFlow, path::PathBuf};
 use lookalike::{
     compare::sample_mesh,
     io::write_glb,
-    jobs::{event::Report, spec::Spec},
-    worker::pipeline::{DeviceChoice, PipelineError, run},
+    jobs::{
+        event::{EnergySample, Report},
+        spec::Spec,
+    },
+    worker::pipeline::{DeviceChoice, Inputs, PipelineError, run},
 };
 
 /// What a job left: artifacts by name, notes as (code, text).
 pub struct Done {
     pub files: BTreeMap<String, Vec<u8>>,
     pub notes: Vec<(String, String)>,
+    /// Collapses of the stream.
     pub records: u64,
+    /// Edits of the stream that optimize each level, encoded.
+    pub edits: BTreeMap<u32, Vec<u8>>,
+    pub samples: Vec<EnergySample>,
     pub result: Result<(), PipelineError>,
 }
 
@@ -44,17 +51,30 @@ impl Done {
 
 /// Runs a job on the given evaluator.
 pub fn job(spec: &Spec, name: &str, input: &[u8], device: &str) -> Done {
+    job_on(spec, &Inputs::of(name, input), device)
+}
+
+/// The same on any inputs.
+pub fn job_on(spec: &Spec, inputs: &Inputs<'_>, device: &str) -> Done {
     let dir = tempfile::tempdir().unwrap();
-    let (mut notes, mut records) = (Vec::new(), 0);
+    let mut notes = Vec::new();
+    let mut counts: BTreeMap<Option<u32>, u64> = BTreeMap::new();
+    let mut edits: BTreeMap<u32, Vec<u8>> = BTreeMap::new();
+    let mut samples = Vec::new();
     let device = DeviceChoice(device.into());
-    let result = run(spec, name, input, dir.path(), &device, &mut |report| {
+    let result = run(spec, inputs, dir.path(), &device, &mut |report| {
         match report {
             Report::Note { code, text } => notes.push((code, text)),
-            Report::Records { first, count, bytes } => {
-                assert_eq!(first, records, "records come in order, without gaps");
+            Report::Records { level, first, count, bytes } => {
+                let n = counts.entry(level).or_default();
+                assert_eq!(first, *n, "records come in order, without gaps");
                 assert_eq!(count_records(&bytes), count);
-                records += u64::from(count);
+                *n += u64::from(count);
+                if let Some(level) = level {
+                    edits.entry(level).or_default().extend(bytes);
+                }
             }
+            Report::Sample(sample) => samples.push(sample),
             _ => {}
         }
         ControlFlow::Continue(())
@@ -65,14 +85,15 @@ pub fn job(spec: &Spec, name: &str, input: &[u8], device: &str) -> Done {
         let name = path.file_name().unwrap().to_string_lossy().into_owned();
         files.insert(name, fs::read(path).unwrap());
     }
-    Done { files, notes, records, result }
+    let records = counts.get(&None).copied().unwrap_or(0);
+    Done { files, notes, records, edits, samples, result }
 }
 
 /// Records in a chunk of the stream.
 fn count_records(mut bytes: &[u8]) -> u32 {
     let mut count = 0;
     while !bytes.is_empty() {
-        let (_, n_bytes) = lookalike::progressive::decode_collapse(bytes).unwrap();
+        let (_, n_bytes) = lookalike::progressive::decode_edit(bytes).unwrap();
         bytes = &bytes[n_bytes..];
         count += 1;
     }

@@ -1,7 +1,7 @@
 //! The public API over a real socket.
 
 use std::{
-    collections::BTreeSet,
+    collections::{BTreeMap, BTreeSet},
     io::{Read, Write},
     net::TcpStream,
 };
@@ -40,15 +40,17 @@ async fn a_log_reads_the_same_live_later_and_from_anywhere() {
     for after in [0, 1, live.len() / 3, live.len() - 1, live.len()] {
         assert_eq!(log(&mut client, &name, after as u64).await, live[after..]);
     }
-    let mut next_record = 0;
+    let mut next_record = BTreeMap::new();
     for event in &live {
-        if let Body::Worker(Report::Records { first, count, bytes }) = &event.body {
-            assert_eq!(*first, next_record);
+        if let Body::Worker(Report::Records { level, first, count, bytes }) = &event.body {
+            let next = next_record.entry(*level).or_insert(0);
+            assert_eq!(*first, *next);
             assert!(!bytes.is_empty());
-            next_record += u64::from(*count);
+            *next += u64::from(*count);
         }
     }
-    assert!(next_record > 0, "the job streamed no records");
+    assert!(next_record[&None] > 0, "the job streamed no collapses");
+    assert!(next_record[&Some(0)] > 0, "the job streamed no edits of its first level");
     let has_sample = |body: &Body| matches!(body, Body::Worker(Report::Sample(_)));
     assert!(live.iter().any(|event| has_sample(&event.body)));
 }

@@ -11,7 +11,7 @@ use lookalike::{
     service::proto::v1,
     worker::{
         agent::{self, WorkerConfig, WorkerError},
-        pipeline::{self, DeviceChoice, PipelineError},
+        pipeline::{self, DeviceChoice, Inputs, PipelineError},
     },
 };
 use tokio::task::JoinSet;
@@ -26,14 +26,13 @@ const CURSED: &str = "cursed.ply";
 
 fn panics_on_the_cursed(
     spec: &Spec,
-    name: &str,
-    input: &[u8],
+    inputs: &Inputs<'_>,
     out_dir: &Path,
     device: &DeviceChoice,
     on: &mut dyn FnMut(Report) -> ControlFlow<()>,
 ) -> Result<(), PipelineError> {
-    assert!(name != CURSED, "index 7 is out of bounds");
-    pipeline::run(spec, name, input, out_dir, device, on)
+    assert!(inputs.original.name != CURSED, "index 7 is out of bounds");
+    pipeline::run(spec, inputs, out_dir, device, on)
 }
 
 /// A worker, and a fresh one whenever it ends, as a supervisor does it.

@@ -2,7 +2,7 @@
 //!
 //! `LOOKALIKE_TORTURE_ROUNDS` (4) says how often, `LOOKALIKE_TORTURE_SEED` when.
 
-use std::time::Duration;
+use std::{collections::BTreeMap, time::Duration};
 
 use lookalike::jobs::{
     event::{Body, Event, Report, ServerEvent},
@@ -85,16 +85,19 @@ async fn torture() {
 fn check_log(log: &[Event]) {
     let seqs: Vec<_> = log.iter().map(|event| event.seq).collect();
     assert_eq!(seqs, (1..=log.len() as u64).collect::<Vec<_>>());
-    let mut next_record = 0;
+    let mut next_record = BTreeMap::new();
     for event in log {
         match &event.body {
-            Body::Server(ServerEvent::Restarted { rewind_to_seq: 1, .. }) => next_record = 0,
-            Body::Worker(Report::Records { first, count, .. }) => {
-                assert_eq!(*first, next_record);
-                next_record += u64::from(*count);
+            Body::Server(ServerEvent::Restarted { rewind_to_seq: 1, .. }) => {
+                next_record.clear();
+            }
+            Body::Worker(Report::Records { level, first, count, .. }) => {
+                let next = next_record.entry(*level).or_insert(0);
+                assert_eq!(first, next);
+                *next += u64::from(*count);
             }
             _ => {}
         }
     }
-    assert!(next_record > 0);
+    assert!(next_record[&None] > 0 && next_record[&Some(0)] > 0);
 }

@@ -41,7 +41,10 @@ async fn every_call(server: &Server, lease: &wire::Lease) -> Vec<Result<(), Stat
     let put = futures::stream::iter(artifact(lease.as_ref().unwrap(), b"late"));
     vec![
         client.heartbeat(wire::HeartbeatRequest { lease: lease.clone() }).await.map(drop),
-        client.fetch_mesh(wire::FetchMeshRequest { lease: lease.clone() }).await.map(drop),
+        client
+            .fetch_mesh(wire::FetchMeshRequest { lease: lease.clone(), ..Default::default() })
+            .await
+            .map(drop),
         client.append_events(append).await.map(drop),
         client.put_artifact(put).await.map(drop),
         client.complete(complete).await.map(drop),

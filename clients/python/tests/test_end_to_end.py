@@ -16,6 +16,8 @@ from lookalike.v1 import job_pb2
 
 #: Small pictures: these tests are about the way there and back.
 QUICK = {"effort": "fast", "n_views": 4, "image_size": 64, "progress": False}
+#: The same for jobs without an effort.
+LOOKS = {"n_views": 4, "image_size": 64, "progress": False}
 #: Minutes of work, for jobs that are to be caught at it.
 LONG = {"effort": "best", "n_views": 20, "image_size": 512, "start_factor": 1000, "progress": False}
 
@@ -55,11 +57,19 @@ def test_levels_records_and_curve_come_back(client: lookalike.Client, tmp_path: 
     # The curve: live and in the file, the same points.
     assert run.samples and all(s.triangles >= targets[-1] - 1 for s in run.samples)
     drawn = [s for s in run.samples if s.d2 is not None]
-    assert drawn and drawn[-1].stage == "image"
+    assert drawn and drawn[-1].stage == "optimize"
+    # Optimization: level by level, never worse, with a look at unseen views before and after.
+    for level in range(2):
+        curve = [s for s in run.samples if s.level == level]
+        energies = [s.energy for s in curve]
+        assert energies == sorted(energies, reverse=True) and curve[-1].energy_ratio < 1
+        assert curve[0].d2_unseen is not None and curve[-1].d2_unseen is not None
+    kinds = {event.WhichOneof("body") for event in events}
+    assert {"record_chunk", "move_statistics", "energy_sample"} <= kinds
     with (tmp_path / "energy.csv").open() as file:
         rows = list(csv.DictReader(file))
     columns = ["seq", "stage", "evaluations", "seconds", "triangles", "energy", "d2"]
-    assert list(rows[0]) == columns
+    assert list(rows[0]) == [*columns, "level", "energy_ratio", "d2_unseen"]
     assert [int(row["triangles"]) for row in rows] == [s.triangles for s in run.samples]
 
     names = {path.name for path in result.paths}
@@ -67,6 +77,20 @@ def test_levels_records_and_curve_come_back(client: lookalike.Client, tmp_path: 
     assert [lod["triangles"] for lod in result.report["levels"]] == [
         len(level.faces) for level in result.lods
     ]
+
+
+def test_a_mesh_that_something_else_simplified_is_optimized(client: lookalike.Client) -> None:
+    original = ball(9)
+    crude = trimesh.creation.icosphere(subdivisions=2)
+    run = client.optimize(original, crude, optimize_until=0.9, **LOOKS)
+    result = run.result()
+    (level,) = result.lods
+    assert isinstance(level, trimesh.Trimesh) and len(level.faces) <= len(crude.faces)
+    (report,) = result.report["levels"]
+    assert report["optimization"]["energy_ratio"] <= 0.9
+    assert report["optimization"]["stopped_by"] == "energy"
+    with pytest.raises(TypeError, match="effort"):
+        client.optimize(original, crude, effort="fast")
 
 
 def test_a_scene_comes_back_as_a_scene(client: lookalike.Client) -> None:

@@ -53,7 +53,8 @@ impl Store {
         let age_ms = i64::try_from(unused_for.as_millis()).unwrap_or(i64::MAX);
         let before = now_ms(&mut tx).await?.saturating_sub(age_ms);
         let delete = "DELETE FROM meshes WHERE created_ms <= ? \
-                      AND NOT EXISTS (SELECT 1 FROM jobs WHERE jobs.mesh = meshes.hash) \
+                      AND NOT EXISTS (SELECT 1 FROM jobs WHERE jobs.mesh = meshes.hash \
+                      OR json_extract(jobs.spec, '$.simplified.mesh') = meshes.hash) \
                       RETURNING hash";
         let delete = sqlx::query_scalar::<_, String>(delete).bind(before);
         let hashes = delete.fetch_all(&mut *tx).await?;

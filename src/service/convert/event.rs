@@ -1,7 +1,7 @@
 //! Log entries, to and from the wire.
 
 use super::{state_from_wire, state_to_wire, time_from_wire, time_to_wire, v1, worker};
-use crate::jobs::event::{Body, EnergySample, Event, Report, ServerEvent};
+use crate::jobs::event::{Body, EnergySample, Event, MoveCount, Report, ServerEvent};
 
 /// A log entry on the wire.
 pub fn event_to_wire(event: Event) -> v1::JobEvent {
@@ -64,9 +64,16 @@ pub fn report_to_wire(report: Report) -> worker::worker_event::Body {
             triangles: sample.triangles,
             energy: sample.energy,
             d2: sample.d2,
+            level: sample.level,
+            energy_ratio: sample.energy_ratio,
+            d2_unseen: sample.d2_unseen,
         }),
-        Report::Records { first, count, bytes } => {
-            Wire::RecordChunk(v1::RecordChunk { first, count, data: bytes.into() })
+        Report::Moves { level, moves } => Wire::MoveStatistics(v1::MoveStatistics {
+            level,
+            moves: moves.into_iter().map(count_to_wire).collect(),
+        }),
+        Report::Records { level, first, count, bytes } => {
+            Wire::RecordChunk(v1::RecordChunk { level, first, count, data: bytes.into() })
         }
         Report::Artifact { name, media_type, size } => {
             Wire::ArtifactStored(v1::ArtifactStored { file: name, media_type, size })
@@ -92,14 +99,31 @@ pub fn report_from_wire(body: worker::worker_event::Body) -> Report {
             triangles: body.triangles,
             energy: body.energy,
             d2: body.d2.filter(present),
+            level: body.level,
+            energy_ratio: body.energy_ratio.filter(present),
+            d2_unseen: body.d2_unseen.filter(present),
         }),
-        Wire::RecordChunk(v1::RecordChunk { first, count, data }) => {
-            Report::Records { first, count, bytes: data.into() }
+        Wire::MoveStatistics(body) => Report::Moves {
+            level: body.level,
+            moves: body.moves.into_iter().map(count_from_wire).collect(),
+        },
+        Wire::RecordChunk(v1::RecordChunk { level, first, count, data }) => {
+            Report::Records { level, first, count, bytes: data.into() }
         }
         Wire::ArtifactStored(v1::ArtifactStored { file, media_type, size }) => {
             Report::Artifact { name: file, media_type, size }
         }
     }
+}
+
+fn count_to_wire(count: MoveCount) -> v1::MoveCount {
+    let MoveCount { name, tried, accepted, evaluations, reduction } = count;
+    v1::MoveCount { name, tried, accepted, evaluations, reduction }
+}
+
+fn count_from_wire(count: v1::MoveCount) -> MoveCount {
+    let v1::MoveCount { name, tried, accepted, evaluations, reduction } = count;
+    MoveCount { name, tried, accepted, evaluations, reduction }
 }
 
 /// The database stores JSON, which has no NaN and no infinities.
@@ -114,6 +138,7 @@ fn client_side(body: worker::worker_event::Body) -> v1::job_event::Body {
         From::Note(body) => To::Note(body),
         From::Progress(body) => To::Progress(body),
         From::EnergySample(body) => To::EnergySample(body),
+        From::MoveStatistics(body) => To::MoveStatistics(body),
         From::RecordChunk(body) => To::RecordChunk(body),
         From::ArtifactStored(body) => To::ArtifactStored(body),
     }
@@ -126,6 +151,7 @@ fn worker_side(body: v1::job_event::Body) -> Option<worker::worker_event::Body> 
         From::Note(body) => To::Note(body),
         From::Progress(body) => To::Progress(body),
         From::EnergySample(body) => To::EnergySample(body),
+        From::MoveStatistics(body) => To::MoveStatistics(body),
         From::RecordChunk(body) => To::RecordChunk(body),
         From::ArtifactStored(body) => To::ArtifactStored(body),
         From::StateChanged(_) | From::AttemptRestarted(_) => return None,
@@ -145,6 +171,9 @@ mod tests {
             triangles: 500,
             energy: Some(u64::MAX),
             d2: Some(d2),
+            level: Some(1),
+            energy_ratio: Some(0.5),
+            d2_unseen: None,
         }
     }
 
@@ -172,7 +201,22 @@ mod tests {
                 eta_secs: Some(3.0),
             }),
             Body::Worker(Report::Sample(sample(1.5))),
-            Body::Worker(Report::Records { first: 3, count: 2, bytes: vec![1, 2, 3] }),
+            Body::Worker(Report::Moves {
+                level: 1,
+                moves: vec![MoveCount {
+                    name: "swap 1".into(),
+                    tried: 9,
+                    accepted: 2,
+                    evaluations: 90,
+                    reduction: -7,
+                }],
+            }),
+            Body::Worker(Report::Records {
+                level: Some(0),
+                first: 3,
+                count: 2,
+                bytes: vec![1, 2, 3],
+            }),
             Body::Worker(Report::Artifact {
                 name: "lod-0.glb".into(),
                 media_type: "model/gltf-binary".into(),

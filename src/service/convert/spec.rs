@@ -1,10 +1,18 @@
 //! The specification of a job, to and from the wire.
 
-use super::v1;
-use crate::jobs::spec::{Effort, Fault, Method, Projection, Render, Shading, Spec, Topology};
+use super::{mesh_hash, mesh_name, v1};
+use crate::jobs::spec::{
+    Effort, Fault, Input, Method, Optimize, Projection, Render, Shading, Solver, Spec, Topology,
+};
 
-const METHODS: [(v1::Method, Method); 2] =
-    [(v1::Method::Image, Method::Image), (v1::Method::Memoryless, Method::Memoryless)];
+const METHODS: [(v1::Method, Method); 3] = [
+    (v1::Method::Image, Method::Image),
+    (v1::Method::Memoryless, Method::Memoryless),
+    (v1::Method::Cluster, Method::Cluster),
+];
+
+const SOLVERS: [(v1::Solver, Solver); 2] =
+    [(v1::Solver::Quadratic, Solver::Quadratic), (v1::Solver::Simplex, Solver::Simplex)];
 
 const EFFORTS: [(v1::Effort, Effort); 3] = [
     (v1::Effort::Fast, Effort::Fast),
@@ -23,19 +31,37 @@ const PROJECTIONS: [(v1::Projection, Projection); 2] = [
     (v1::Projection::Orthographic, Projection::Orthographic),
 ];
 
-/// Where a field of a create request is found on the wire: one level deeper than in
-/// [`crate::jobs`], and under another name where ours is a reserved word in a client's language.
-pub fn field_on_wire(field: &str) -> String {
-    match field.strip_prefix("spec.") {
-        Some("lambda") => "spec.simplify.surface_weight".into(),
-        Some(inner) => format!("spec.simplify.{inner}"),
-        None => field.into(),
-    }
+/// Names on the wire of fields that have another one in [`crate::jobs`], or stand elsewhere.
+const WIRE_NAMES: [(&str, &str); 4] = [
+    // A reserved word in a client's language.
+    ("lambda", "surface_weight"),
+    ("optimize", "optimization"),
+    ("simplified.mesh", "simplified_mesh"),
+    ("simplified.file_name", "simplified_file_name"),
+];
+
+/// Where a field of a create request with this specification is found on the wire.
+pub fn field_on_wire(spec: &Spec, field: &str) -> String {
+    let Some(inner) = field.strip_prefix("spec.") else { return field.into() };
+    let kind = if spec.simplified.is_some() { "optimize" } else { "simplify" };
+    let renamed = |(ours, theirs): &(&str, &str)| {
+        let rest = inner.strip_prefix(ours).filter(|r| r.is_empty() || r.starts_with('.'))?;
+        Some(format!("spec.{kind}.{theirs}{rest}"))
+    };
+    WIRE_NAMES.iter().find_map(renamed).unwrap_or_else(|| format!("spec.{kind}.{inner}"))
 }
 
 /// A specification on the wire, with every default written out.
 pub fn spec_to_wire(spec: &Spec) -> v1::JobSpec {
-    let simplify = v1::SimplifySpec {
+    let kind = match &spec.simplified {
+        Some(input) => v1::job_spec::Kind::Optimize(optimize_to_wire(spec, input)),
+        None => v1::job_spec::Kind::Simplify(simplify_to_wire(spec)),
+    };
+    v1::JobSpec { kind: Some(kind) }
+}
+
+fn simplify_to_wire(spec: &Spec) -> v1::SimplifySpec {
+    v1::SimplifySpec {
         triangles: spec.triangles.clone(),
         method: to_wire(&METHODS, spec.method),
         effort: to_wire(&EFFORTS, spec.effort),
@@ -43,11 +69,35 @@ pub fn spec_to_wire(spec: &Spec) -> v1::JobSpec {
         start_factor: Some(spec.start_factor),
         surface_weight: Some(spec.lambda),
         render: Some(render_to_wire(&spec.render)),
+        optimization: Some(optimization_to_wire(&spec.optimize)),
         max_evaluations: spec.max_evaluations,
         max_secs: spec.max_secs,
         seed: spec.seed,
-    };
-    v1::JobSpec { kind: Some(v1::job_spec::Kind::Simplify(simplify)) }
+    }
+}
+
+fn optimize_to_wire(spec: &Spec, input: &Input) -> v1::OptimizeSpec {
+    v1::OptimizeSpec {
+        simplified_mesh: mesh_name(&input.mesh),
+        simplified_file_name: input.file_name.clone(),
+        optimization: Some(optimization_to_wire(&spec.optimize)),
+        render: Some(render_to_wire(&spec.render)),
+        max_evaluations: spec.max_evaluations,
+        max_secs: spec.max_secs,
+        seed: spec.seed,
+        topology: to_wire(&TOPOLOGIES, spec.topology),
+    }
+}
+
+fn optimization_to_wire(optimize: &Optimize) -> v1::Optimization {
+    v1::Optimization {
+        max_evaluations: optimize.max_evaluations,
+        max_secs: optimize.max_secs,
+        until: optimize.until,
+        delta: Some(optimize.delta),
+        solver: to_wire(&SOLVERS, optimize.solver),
+        normals: optimize.normals,
+    }
 }
 
 fn render_to_wire(render: &Render) -> v1::RenderSpec {
@@ -69,25 +119,57 @@ fn render_to_wire(render: &Render) -> v1::RenderSpec {
 /// A specification from the wire, and what could not be read (the values are not judged here).
 pub fn spec_from_wire(wire: Option<v1::JobSpec>) -> (Spec, Vec<Fault>) {
     let mut faults = Vec::new();
-    let Some(v1::job_spec::Kind::Simplify(wire)) = wire.and_then(|spec| spec.kind) else {
-        let text = "missing, or of a kind this server does not know: use `simplify`".into();
-        faults.push(Fault { field: "spec".into(), text });
-        return (Spec::new(vec![1]), faults);
+    let spec = match wire.and_then(|spec| spec.kind) {
+        Some(v1::job_spec::Kind::Simplify(wire)) => simplify_from_wire(wire, &mut faults),
+        Some(v1::job_spec::Kind::Optimize(wire)) => optimize_from_wire(wire, &mut faults),
+        None => {
+            let text = "missing, or of a kind this server does not know: use `simplify`".into();
+            faults.push(Fault { field: "spec".into(), text });
+            Spec::new(vec![1])
+        }
     };
+    (spec, faults)
+}
+
+fn simplify_from_wire(wire: v1::SimplifySpec, faults: &mut Vec<Fault>) -> Spec {
     let default = Spec::new(wire.triangles);
-    let spec = Spec {
-        method: from_wire(&METHODS, wire.method, "method", &mut faults),
-        effort: from_wire(&EFFORTS, wire.effort, "effort", &mut faults),
-        topology: from_wire(&TOPOLOGIES, wire.topology, "topology", &mut faults),
+    Spec {
+        method: from_wire(&METHODS, wire.method, "method", faults),
+        effort: from_wire(&EFFORTS, wire.effort, "effort", faults),
+        topology: from_wire(&TOPOLOGIES, wire.topology, "topology", faults),
         start_factor: wire.start_factor.unwrap_or(default.start_factor),
         lambda: wire.surface_weight.unwrap_or(default.lambda),
-        render: render_from_wire(&wire.render.unwrap_or_default(), &mut faults),
+        render: render_from_wire(&wire.render.unwrap_or_default(), faults),
+        optimize: optimization_from_wire(&wire.optimization.unwrap_or_default(), faults),
         max_evaluations: wire.max_evaluations,
         max_secs: wire.max_secs,
         seed: wire.seed,
-        triangles: default.triangles,
-    };
-    (spec, faults)
+        ..default
+    }
+}
+
+fn optimize_from_wire(wire: v1::OptimizeSpec, faults: &mut Vec<Fault>) -> Spec {
+    let mesh = mesh_hash(&wire.simplified_mesh);
+    Spec {
+        topology: from_wire(&TOPOLOGIES, wire.topology, "topology", faults),
+        render: render_from_wire(&wire.render.unwrap_or_default(), faults),
+        optimize: optimization_from_wire(&wire.optimization.unwrap_or_default(), faults),
+        max_evaluations: wire.max_evaluations,
+        max_secs: wire.max_secs,
+        seed: wire.seed,
+        ..Spec::optimizing(Input { mesh, file_name: wire.simplified_file_name })
+    }
+}
+
+fn optimization_from_wire(wire: &v1::Optimization, faults: &mut Vec<Fault>) -> Optimize {
+    Optimize {
+        max_evaluations: wire.max_evaluations,
+        max_secs: wire.max_secs,
+        until: wire.until,
+        delta: wire.delta.unwrap_or(Optimize::default().delta),
+        solver: from_wire(&SOLVERS, wire.solver, "optimize.solver", faults),
+        normals: wire.normals,
+    }
 }
 
 fn render_from_wire(wire: &v1::RenderSpec, faults: &mut Vec<Fault>) -> Render {
@@ -139,12 +221,13 @@ mod tests {
     fn spec() -> impl Strategy<Value = Spec> {
         let numbers = prop::array::uniform6(0.0..1e3f64);
         let looks = (pick(&SHADINGS), pick(&PROJECTIONS));
-        let words = (pick(&METHODS), pick(&EFFORTS), pick(&TOPOLOGIES), looks);
+        let words = (pick(&METHODS), pick(&EFFORTS), pick(&TOPOLOGIES), looks, pick(&SOLVERS));
         let views = prop::collection::vec(prop::array::uniform3(-1.0..1.0f64), 0..3);
         let counts = (prop::collection::vec(any::<u32>(), 0..4), prop::array::uniform3(0..99u32));
         (numbers, words, views, counts, any::<u64>(), any::<u64>()).prop_map(
             |(x, words, custom_views, (triangles, n), seed, max_evaluations)| Spec {
                 triangles,
+                simplified: None,
                 method: words.0,
                 effort: words.1,
                 topology: words.2,
@@ -162,6 +245,14 @@ mod tests {
                     shading: words.3.0,
                     interior_views: n[2],
                 },
+                optimize: Optimize {
+                    max_evaluations: (n[0] > 50).then_some(seed / 3),
+                    max_secs: (n[1] > 50).then_some(x[1]),
+                    until: (n[2] > 50).then_some(x[2]),
+                    delta: x[3],
+                    solver: words.4,
+                    normals: n[0] % 2 == 0,
+                },
                 max_evaluations,
                 max_secs: x[0] / 3.0,
                 seed,
@@ -169,9 +260,22 @@ mod tests {
         )
     }
 
+    /// The same for a mesh that is simplified already.
+    fn optimizing(spec: Spec) -> Spec {
+        let input = Input { mesh: "0".repeat(64), file_name: "crude.ply".into() };
+        let (topology, render) = (spec.topology, spec.render);
+        let (optimize, max_evaluations, max_secs) =
+            (spec.optimize, spec.max_evaluations, spec.max_secs);
+        let seed = spec.seed;
+        let base = Spec::optimizing(input);
+        Spec { topology, render, optimize, max_evaluations, max_secs, seed, ..base }
+    }
+
     proptest! {
         #[test]
         fn specifications_survive_the_wire(spec in spec()) {
+            prop_assert_eq!(spec_from_wire(Some(spec_to_wire(&spec))), (spec.clone(), vec![]));
+            let spec = optimizing(spec);
             prop_assert_eq!(spec_from_wire(Some(spec_to_wire(&spec))), (spec, vec![]));
         }
     }
@@ -181,6 +285,28 @@ mod tests {
         let simplify = v1::SimplifySpec { triangles: vec![7], ..Default::default() };
         let wire = v1::JobSpec { kind: Some(v1::job_spec::Kind::Simplify(simplify)) };
         assert_eq!(spec_from_wire(Some(wire)), (Spec::new(vec![7]), vec![]));
+    }
+
+    #[test]
+    fn fields_are_found_by_their_wire_names() {
+        let names = [
+            ("spec.lambda", "spec.simplify.surface_weight"),
+            ("spec.triangles[1]", "spec.simplify.triangles[1]"),
+            ("spec.render.image_size", "spec.simplify.render.image_size"),
+            ("spec.optimize.until", "spec.simplify.optimization.until"),
+            ("request_id", "request_id"),
+        ];
+        for (ours, wire) in names {
+            assert_eq!(field_on_wire(&Spec::new(vec![7]), ours), wire);
+        }
+        let input = Input { mesh: String::new(), file_name: String::new() };
+        let spec = Spec::optimizing(input);
+        for (ours, wire) in [
+            ("spec.optimize", "spec.optimize.optimization"),
+            ("spec.simplified.mesh", "spec.optimize.simplified_mesh"),
+        ] {
+            assert_eq!(field_on_wire(&spec, ours), wire);
+        }
     }
 
     #[test]

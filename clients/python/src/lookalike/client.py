@@ -72,7 +72,8 @@ class Client:
 
         The model is a trimesh object, a path, or bytes with their `file_name`. `request_id` names
         this request: the same again finds the job it made. Other keywords are the fields of
-        SimplifySpec and RenderSpec, such as method="image", effort="fast", n_views=20, seed=0.
+        SimplifySpec and RenderSpec, such as method="image", effort="fast", n_views=20, seed=0, and
+        those of Optimization behind `optimize_`, such as optimize_max_evaluations=0.
         """
         # Before the upload, so that a misspelt option costs nothing.
         work = spec.simplify_spec(triangles, **options)
@@ -80,6 +81,31 @@ class Client:
         mesh = self.upload(source)
         job = self.create(mesh, source.file_name, work, request_id=request_id)
         like = trimesh.Trimesh if isinstance(model, trimesh.Trimesh) else trimesh.Scene
+        return Run(self, job.name, progress=progress, like=like)
+
+    def optimize(
+        self,
+        original: models.Model,
+        simplified: models.Model,
+        *,
+        file_name: str | None = None,
+        simplified_file_name: str | None = None,
+        request_id: str | None = None,
+        progress: bool = True,
+        **options: Any,
+    ) -> Run:
+        """Makes `simplified`, which any tool made of `original`, look more like it.
+
+        Keywords are the fields of OptimizeSpec, of its optimization (`optimize_max_evaluations=...`,
+        `optimize_until=0.5`) and of RenderSpec; everything else is as in `simplify`.
+        """
+        spec.optimize_spec("", "", **options)  # as above: before the uploads
+        source = models.source(original, file_name)
+        crude = models.source(simplified, simplified_file_name)
+        mesh = self.upload(source)
+        work = spec.optimize_spec(self.upload(crude), crude.file_name, **options)
+        job = self.create(mesh, source.file_name, work, request_id=request_id)
+        like = trimesh.Trimesh if isinstance(simplified, trimesh.Trimesh) else trimesh.Scene
         return Run(self, job.name, progress=progress, like=like)
 
     def upload(self, model: models.Model | models.Source, file_name: str | None = None) -> str:
@@ -98,16 +124,18 @@ class Client:
         self,
         mesh: str,
         file_name: str,
-        work: spec_pb2.SimplifySpec,
+        work: spec.Work,
         *,
         request_id: str | None = None,
     ) -> job_pb2.Job:
         """Queues a job for an uploaded mesh."""
+        is_simplify = isinstance(work, spec_pb2.SimplifySpec)
+        kind: Any = {"simplify" if is_simplify else "optimize": work}
         request = api.CreateJobRequest(
             request_id=request_id or str(uuid.uuid4()),
             mesh=mesh,
             file_name=file_name,
-            spec=spec_pb2.JobSpec(simplify=work),
+            spec=spec_pb2.JobSpec(**kind),
         )
         return self._call(lambda: self._stub.CreateJob(request)).job
 

@@ -28,6 +28,12 @@ class Sample:
     energy: int | None
     #: The papers' d2, percent of full scale.
     d2: float | None
+    #: Which level is being optimized, from 0 in the order asked for; None in other stages.
+    level: int | None = None
+    #: Energy as a share of what it was when this level's optimization began.
+    energy_ratio: float | None = None
+    #: d2 over views that the job does not work with; now and then.
+    d2_unseen: float | None = None
 
 
 def sample(event: event_pb2.JobEvent) -> Sample:
@@ -41,7 +47,15 @@ def sample(event: event_pb2.JobEvent) -> Sample:
         triangles=s.triangles,
         energy=s.energy if s.HasField("energy") else None,
         d2=s.d2 if s.HasField("d2") else None,
+        level=s.level if s.HasField("level") else None,
+        energy_ratio=s.energy_ratio if s.HasField("energy_ratio") else None,
+        d2_unseen=s.d2_unseen if s.HasField("d2_unseen") else None,
     )
+
+
+def _line_of(point: Sample) -> str:
+    """The line of the picture that a sample belongs to."""
+    return point.stage if point.level is None else f"{point.stage}, level {point.level}"
 
 
 #: What plot_energy can draw to the right, and how an axis is named.
@@ -57,25 +71,30 @@ def plot_energy(
 ) -> Figure:
     """Draws d2 (percent of full scale) over `x`: evaluations, seconds or triangles.
 
-    One line a stage. Writes a picture to `path` (the extension gives the format) and returns the
+    One line a stage, and one a level that is optimized; dots on them are d2 over unseen views. Writes a picture to `path` (the extension gives the format) and returns the
     matplotlib figure. Raises ValueError when no sample has a d2.
     """
     if x not in _AXES:
         raise ValueError(f"`{x}` is no axis: use {', '.join(_AXES)}")
     label, value = _AXES[x]
-    stages: dict[str, tuple[list[float], list[float]]] = {}
+    lines: dict[str, tuple[list[float], list[float]]] = {}
+    unseen: list[tuple[float, float]] = []
     for point in samples:
         if point.d2 is not None:
-            xs, ys = stages.setdefault(point.stage, ([], []))
+            xs, ys = lines.setdefault(_line_of(point), ([], []))
             xs.append(value(point))
             ys.append(point.d2)
-    if not stages:
+        if point.d2_unseen is not None:
+            unseen.append((value(point), point.d2_unseen))
+    if not lines:
         raise ValueError("no sample has a d2: pictures are kept only with method='image'")
     # Not pyplot: it would keep the figure, and choose a window where there may be no screen.
     figure = Figure(figsize=(8, 4.5), layout="constrained")
     axes = figure.subplots()
-    for stage, (xs, ys) in stages.items():
-        axes.plot(xs, ys, marker=".", markersize=3, linewidth=1, label=stage)
+    for label_of_line, (xs, ys) in lines.items():
+        axes.plot(xs, ys, marker=".", markersize=3, linewidth=1, label=label_of_line)
+    if unseen:
+        axes.plot(*zip(*unseen), "k.", markersize=5, linestyle="none", label="unseen views")
     axes.set_xlabel(label)
     axes.set_ylabel("d2, % of full scale")
     if x == "triangles":

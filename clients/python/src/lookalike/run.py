@@ -89,7 +89,9 @@ class Run:
         if job.state != job_pb2.JOB_STATE_SUCCEEDED:
             raise errors.JobFailed(job.name, job.failure.reason, job.failure.text)
         paths = [] if folder is None else self._client.fetch(job.name, folder)
-        levels = [f"lod-{i}.glb" for i in range(len(job.spec.simplify.triangles))]
+        # A mesh that was simplified already is one level.
+        n_levels = len(job.spec.simplify.triangles) or 1
+        levels = [f"lod-{i}.glb" for i in range(n_levels)]
         files = self._files([*levels, "report.json"], paths)
         lods = [models.load_glb(files[level], self._like) for level in levels]
         return Result(job, lods, json.loads(files["report.json"]), paths)

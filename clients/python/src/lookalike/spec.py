@@ -1,45 +1,76 @@
 """Keywords to a job's specification, by the names that the protos give to fields and enum values.
 
-Knows no field by name except `triangles` and `render`: options appear here when the protos get
-them. Values are judged by the server, which names every fault at once.
+Knows no field by name except those that hold others: options appear here when the protos get them.
+Values are judged by the server, which names every fault at once.
 """
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, TypeVar
 
-from google.protobuf.descriptor import EnumDescriptor, FieldDescriptor
+from google.protobuf.descriptor import Descriptor, EnumDescriptor, FieldDescriptor
 
 from lookalike.v1 import spec_pb2
 
-_SIMPLIFY = spec_pb2.SimplifySpec.DESCRIPTOR.fields_by_name
-_RENDER = spec_pb2.RenderSpec.DESCRIPTOR.fields_by_name
+#: Either kind of job.
+Work = spec_pb2.SimplifySpec | spec_pb2.OptimizeSpec
+_W = TypeVar("_W", spec_pb2.SimplifySpec, spec_pb2.OptimizeSpec)
+
+#: Fields that hold fields of their own, and what those are prefixed with as keywords.
+_GROUPS = {"render": "", "optimization": "optimize_"}
+#: Fields that are arguments, not keywords.
+_ARGUMENTS = {"triangles", "simplified_mesh", "simplified_file_name"}
+
+Path = tuple[str | None, FieldDescriptor]
+
+
+def _options(kind: Descriptor) -> dict[str, Path]:
+    """Every keyword of a kind of job: the group that its field stands in, if any, and the field."""
+    found: dict[str, Path] = {}
+    for name, field in kind.fields_by_name.items():
+        if name in _GROUPS:
+            for inner in field.message_type.fields:
+                found[_GROUPS[name] + inner.name] = (name, inner)
+        elif name not in _ARGUMENTS:
+            found[name] = (None, field)
+    return found
+
+
 #: Every keyword, for messages and for help.
-OPTIONS = sorted(({*_SIMPLIFY} - {"triangles", "render"}) | {*_RENDER})
+OPTIONS = sorted(_options(spec_pb2.SimplifySpec.DESCRIPTOR))
 
 
 def simplify_spec(triangles: int | Iterable[int], **options: Any) -> spec_pb2.SimplifySpec:
     """The specification of a simplification; what is not given, or None, takes its default.
 
     Enum values are written in lower case (`effort="fast"`), directions as three numbers
-    (`custom_views=[(1, 0, 0)]`).
+    (`custom_views=[(1, 0, 0)]`); fields of the optimization begin with `optimize_`
+    (`optimize_max_evaluations=0`).
     """
     spec = spec_pb2.SimplifySpec()
     levels = triangles if isinstance(triangles, Iterable) else [triangles]
-    _assign(spec, _SIMPLIFY["triangles"], levels)
+    _assign(spec, spec.DESCRIPTOR.fields_by_name["triangles"], levels)
+    return _with_options(spec, options)
+
+
+def optimize_spec(mesh: str, file_name: str, **options: Any) -> spec_pb2.OptimizeSpec:
+    """The specification of the optimization of a mesh that is simplified already, likewise."""
+    spec = spec_pb2.OptimizeSpec(simplified_mesh=mesh, simplified_file_name=file_name)
+    return _with_options(spec, options)
+
+
+def _with_options(spec: _W, options: dict[str, Any]) -> _W:
+    known = _options(spec.DESCRIPTOR)
     for name, value in options.items():
-        if name not in OPTIONS:
-            near = difflib.get_close_matches(name, OPTIONS, n=1)
-            hint = f"did you mean `{near[0]}`?" if near else f"use {', '.join(OPTIONS)}"
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            hint = f"did you mean `{near[0]}`?" if near else f"use {', '.join(sorted(known))}"
             raise TypeError(f"`{name}` is no option: {hint}")
-        if value is None:
-            continue
-        if name in _RENDER:
-            _assign(spec.render, _RENDER[name], value)
-        else:
-            _assign(spec, _SIMPLIFY[name], value)
+        if value is not None:
+            group, field = known[name]
+            _assign(spec if group is None else getattr(spec, group), field, value)
     return spec
 
 

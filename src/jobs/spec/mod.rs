@@ -1,6 +1,10 @@
 //! What a job is asked to do: plain data, validated as a whole, stored as JSON.
 
+mod optimize;
+
 use serde::{Deserialize, Serialize};
+
+pub use optimize::{Optimize, Solver};
 
 /// How the levels are made.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -11,6 +15,8 @@ pub enum Method {
     Image,
     /// Memoryless (geometric) all the way.
     Memoryless,
+    /// Vertex clustering, crude and fast: one level.
+    Cluster,
 }
 
 /// How much work the image-driven stage spends on each collapse.
@@ -103,12 +109,27 @@ impl Default for Render {
     }
 }
 
-/// A whole simplification job.
+/// A stored model, named by a specification.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Input {
+    /// BLAKE3 of its bytes, lower-case hexadecimal.
+    pub mesh: String,
+    /// Its file name; the extension gives the format.
+    pub file_name: String,
+}
+
+/// A whole job: simplification of the original to levels, each then optimized; or, where
+/// `simplified` is given, optimization of that mesh alone.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Spec {
-    /// Triangles of each level of detail, in the order the caller wants them back.
+    /// Triangles of each level of detail, in the order the caller wants them back; none where
+    /// `simplified` is given.
     pub triangles: Vec<u32>,
+    /// A mesh that some tool has simplified the original to.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub simplified: Option<Input>,
     /// Image-driven or memoryless.
     #[serde(default)]
     pub method: Method,
@@ -127,7 +148,10 @@ pub struct Spec {
     /// The run-time pictures.
     #[serde(default)]
     pub render: Render,
-    /// Upper bound on energy evaluations; 0 means none.
+    /// What is done to each level once it is simplified.
+    #[serde(default)]
+    pub optimize: Optimize,
+    /// Upper bound on energy evaluations of the whole job; 0 means none.
     #[serde(default)]
     pub max_evaluations: u64,
     /// Additional wall-clock cap in seconds; 0 means none.
@@ -150,12 +174,14 @@ impl Spec {
     pub fn new(triangles: Vec<u32>) -> Self {
         Self {
             triangles,
+            simplified: None,
             method: Method::default(),
             effort: Effort::default(),
             topology: Topology::default(),
             start_factor: default_start_factor(),
             lambda: default_lambda(),
             render: Render::default(),
+            optimize: Optimize::default(),
             max_evaluations: 0,
             max_secs: 0.0,
             seed: 0,
@@ -179,23 +205,53 @@ pub const MAX_VIEWS: usize = 64;
 const VIEW_COUNTS: [u32; 6] = [4, 6, 8, 12, 20, 24];
 
 impl Spec {
+    /// The job that optimizes what some tool has simplified the original to.
+    pub fn optimizing(simplified: Input) -> Self {
+        Self { simplified: Some(simplified), ..Self::new(Vec::new()) }
+    }
+
+    /// How many levels the job makes.
+    pub fn n_levels(&self) -> usize {
+        if self.simplified.is_some() { 1 } else { self.triangles.len() }
+    }
+
     /// Every fault of the specification; empty when it can run.
     pub fn validate(&self) -> Vec<Fault> {
         let mut faults = Vec::new();
-        let levels = self.triangles.len();
-        if levels == 0 || levels > MAX_LEVELS {
-            let text = format!("{levels} levels of detail: ask for 1 to {MAX_LEVELS}");
-            faults.push(Fault { field: "triangles".into(), text });
-        }
-        for i in (0..levels).filter(|&i| self.triangles[i] == 0) {
-            let text = "0 triangles is not a level of detail: ask for at least 1".into();
-            faults.push(Fault { field: format!("triangles[{i}]"), text });
-        }
+        self.validate_levels(&mut faults);
         range(&mut faults, "start_factor", self.start_factor, 1.0, 1000.0);
         range(&mut faults, "lambda", self.lambda, 0.0, 1.0);
         range(&mut faults, "max_secs", self.max_secs, 0.0, 1e9);
         self.render.validate(&mut faults);
+        self.optimize.validate(self.render.shading == Shading::Smooth, &mut faults);
         faults
+    }
+
+    fn validate_levels(&self, faults: &mut Vec<Fault>) {
+        let levels = self.triangles.len();
+        let mut fault = |field: String, text: String| faults.push(Fault { field, text });
+        if self.simplified.is_some() {
+            if levels > 0 {
+                let text = "a mesh that is simplified already keeps its triangles: leave this out";
+                fault("triangles".into(), text.into());
+            }
+            if self.optimize.is_off() {
+                let text = "0 turns off all that this job would do: ask for more, or leave it out";
+                fault("optimize".into(), text.into());
+            }
+            return;
+        }
+        if levels == 0 || levels > MAX_LEVELS {
+            let text = format!("{levels} levels of detail: ask for 1 to {MAX_LEVELS}");
+            fault("triangles".into(), text);
+        } else if self.method == Method::Cluster && levels > 1 {
+            let text = format!("{levels} levels: vertex clustering makes one, so ask for one");
+            fault("triangles".into(), text);
+        }
+        for i in (0..levels).filter(|&i| self.triangles[i] == 0) {
+            let text = "0 triangles is not a level of detail: ask for at least 1".into();
+            fault(format!("triangles[{i}]"), text);
+        }
     }
 }
 
@@ -296,6 +352,24 @@ mod tests {
         spec.render.custom_views.push([0.0; 3]);
         spec.render.custom_views.push([f64::INFINITY, 0.0, 0.0]);
         assert_eq!(fields(&spec), ["render.custom_views[1]", "render.custom_views[2]"]);
+    }
+
+    #[test]
+    fn optimization_has_faults_of_its_own() {
+        let mut spec = Spec::new(vec![10, 20]);
+        spec.method = Method::Cluster;
+        spec.optimize.until = Some(1.5);
+        spec.optimize.max_secs = Some(f64::NAN);
+        spec.optimize.delta = 0.0;
+        spec.optimize.normals = true;
+        let wanted = ["triangles", "optimize.max_secs", "optimize.until", "optimize.delta"];
+        assert_eq!(fields(&spec), [&wanted[..], &["optimize.normals"]].concat());
+        let input = || Input { mesh: "a".repeat(64), file_name: "crude.ply".into() };
+        let mut spec = Spec::optimizing(input());
+        assert_eq!((spec.validate(), spec.n_levels()), (vec![], 1));
+        spec.triangles = vec![9];
+        spec.optimize.max_evaluations = Some(0);
+        assert_eq!(fields(&spec), ["triangles", "optimize"]);
     }
 
     #[test]

@@ -1,0 +1,110 @@
+//! Image-driven optimization of the levels, one after the other, finest first.
+
+use std::time::Instant;
+
+use crate::{
+    mesh::Stage,
+    optimize::{Optimizer, Outcome},
+};
+
+use super::{
+    branch::Branch,
+    budget::{Budget, budgets},
+    critic::Critic,
+    levels::{Level, Levels, Moves, Optimized, StoppedBy},
+    params,
+    pipeline::{Job, PipelineError, editable},
+    recorder::Recorder,
+    results::StageFigures,
+};
+
+/// Optimizes every level that is not the original; `None` where there is nothing to do.
+pub(super) fn run<'j>(
+    job: &mut Job<'j>,
+    levels: &mut Levels,
+    recorder: &mut Recorder<'j>,
+    before: &[StageFigures],
+) -> Result<Option<StageFigures>, PipelineError> {
+    let triangles: Vec<usize> = levels.simplified().map(|l| l.mesh.faces.len()).collect();
+    let n_spent = before.iter().filter(|f| f.stage == Stage::Image.name()).map(|f| f.evaluations);
+    let budgets = budgets(job.spec, &triangles, n_spent.sum());
+    if triangles.iter().all(|n| *n == 0) || recorder.is_out_of_time() {
+        return Ok(None);
+    }
+    let mut figures = StageFigures::prepare(Stage::Optimize);
+    recorder.enter(Stage::Optimize, 0, 0);
+    if job.spec.optimize.normals {
+        job.studio().use_own_normals();
+    }
+    let total = triangles.iter().sum::<usize>() as f64;
+    let mut done = 0.0;
+    for (level, budget) in levels.simplified().zip(budgets) {
+        let share = level.mesh.faces.len() as f64 / total;
+        if !budget.is_nothing() && !level.mesh.faces.is_empty() && !recorder.is_out_of_time() {
+            optimize(job, level, (budget, (done, done + share)), recorder, &mut figures)?;
+        }
+        done += share;
+    }
+    Ok(Some(figures.end()))
+}
+
+/// Optimizes one level.
+fn optimize<'j>(
+    job: &mut Job<'j>,
+    level: &mut Level,
+    (budget, span): (Budget, (f64, f64)),
+    recorder: &mut Recorder<'j>,
+    figures: &mut StageFigures,
+) -> Result<(), PipelineError> {
+    let start = Instant::now();
+    let mut mesh = editable(&level.mesh)?;
+    let critic = job.critic.get_or_init(|| Critic::new(job.spec, job.original));
+    let begun = (level.mesh.clone(), editable(&level.mesh)?);
+    let branch =
+        Branch::new(level.index as u32, begun, critic, budget, (figures.evaluations, span));
+    let mut objective = job.studio().objective(&mesh, recorder)?;
+    figures.start(&objective.evaluator_name());
+    recorder.begin_branch(&level.name(), branch)?;
+    let params = params::optimization(job.spec, &budget);
+    let outcome =
+        Optimizer::new(&mut mesh, &mut objective, params).run(&mut |step| recorder.step(&step))?;
+    let is_late = recorder.is_out_of_time();
+    if !is_late {
+        recorder.check()?;
+    }
+    let (branch, edits) = recorder.end_branch()?;
+    figures.evaluations += outcome.evaluations;
+    figures.edits += u64::from(edits);
+    level.mesh = mesh.snapshot();
+    level.energy = Some(objective.energy());
+    level.d2 = Some(objective.d2_percent());
+    level.optimized = Some(Optimized {
+        seconds: start.elapsed().as_secs_f64(),
+        edits,
+        d2_unseen_percent: branch.and_then(|b| b.d2_unseen),
+        ..optimized(&outcome)
+    });
+    Ok(())
+}
+
+fn optimized(outcome: &Outcome) -> Optimized {
+    let (before, after) = (outcome.energy_before, outcome.energy_after);
+    let moves = outcome.moves.iter().map(|m| Moves {
+        name: m.name,
+        tried: m.tried,
+        accepted: m.accepted,
+        evaluations: m.evaluations,
+        reduction: m.reduction,
+    });
+    Optimized {
+        evaluations: outcome.evaluations,
+        seconds: 0.0,
+        energy_before: before,
+        energy_after: after,
+        energy_ratio: if before == 0 { 1.0 } else { after as f64 / before as f64 },
+        d2_unseen_percent: None,
+        edits: 0,
+        moves: moves.collect(),
+        stopped_by: StoppedBy::of_optimization(outcome.stopped_by),
+    }
+}
