@@ -199,7 +199,11 @@ mod tests {
     use std::time::Duration;
 
     use super::*;
-    use crate::jobs::{Limits, lease::Terms, spec::Spec};
+    use crate::jobs::{
+        Limits,
+        lease::Terms,
+        spec::{Input, Spec},
+    };
 
     #[test]
     fn file_names_need_an_extension_and_no_folder() {
@@ -226,7 +230,9 @@ mod tests {
         };
         let jobs = open(Duration::from_hours(1)).await;
         let (used, unused) = (put(&jobs, b"used").await, put(&jobs, b"unused").await);
-        let (file_name, spec) = ("a.ply".into(), Spec::new(vec![5]));
+        let crude = put(&jobs, b"simplified").await;
+        let input = Input { mesh: crude.clone(), file_name: "crude.ply".into() };
+        let (file_name, spec) = ("a.ply".into(), Spec::optimizing(input));
         let new = NewJob { request_id: String::new(), mesh: used.clone(), file_name, spec };
         jobs.create(new, vec![]).await.unwrap();
         let file = jobs.0.blobs.mesh(&unused);
@@ -240,7 +246,9 @@ mod tests {
         // At an age of nothing only what a job names does.
         let jobs = open(Duration::ZERO).await;
         assert!(jobs.find_mesh(&unused).await.unwrap().is_none() && !file.exists());
-        assert!(jobs.find_mesh(&used).await.unwrap().is_some());
-        assert!(jobs.0.blobs.mesh(&used).exists());
+        for named in [used, crude] {
+            assert!(jobs.find_mesh(&named).await.unwrap().is_some());
+            assert!(jobs.0.blobs.mesh(&named).exists());
+        }
     }
 }

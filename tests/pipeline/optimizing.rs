@@ -103,7 +103,8 @@ fn geometry_alone_stays_geometry_unless_optimization_is_asked_for() {
 #[test]
 fn clusters_are_optimized_like_any_other_mesh() {
     let input = sample(6000);
-    let done = job(&Spec { method: Method::Cluster, ..spec(vec![500]) }, "sample.glb", &input, "cpu");
+    let done =
+        job(&Spec { method: Method::Cluster, ..spec(vec![500]) }, "sample.glb", &input, "cpu");
     check(&done, 1);
     let report = done.report();
     assert_eq!(report["levels"][0]["stopped_by"], "triangles");
@@ -139,8 +140,7 @@ fn what_another_tool_simplified_is_optimized_against_the_original() {
 #[test]
 fn normals_are_found_and_written() {
     let render = Render { shading: Shading::Smooth, ..small() };
-    let optimize =
-        Optimize { normals: true, max_evaluations: Some(10_000), ..Optimize::default() };
+    let optimize = Optimize { normals: true, max_evaluations: Some(10_000), ..Optimize::default() };
     let spec = Spec { render, optimize, ..spec(vec![300]) };
     let done = job(&spec, "sample.glb", &sample(3000), "cpu");
     check(&done, 1);

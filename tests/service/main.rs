@@ -12,6 +12,7 @@
 mod api;
 mod command_line;
 mod lint;
+mod optimize;
 mod panics;
 mod processes;
 mod support;
