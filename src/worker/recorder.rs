@@ -202,7 +202,7 @@ impl<'a> Recorder<'a> {
 
     /// Gives the present level a name in the progressive mesh.
     pub fn mark_level(&mut self, name: &str) {
-        self.writer.mark_level(name, true);
+        self.writer.mark_level(name);
     }
 
     /// Collapses so far.
