@@ -5,9 +5,13 @@
 use lookalike::{
     io::{self, Limits, PlyPositions},
     mesh::{
-        AttributeLayer, Collapse, Corner, FaceId, Mesh, RemovedFace, Semantic, VertexId, WedgeId,
+        AttributeLayer, Collapse, Corner, EditMesh, EditRecord, FaceId, Mesh, RemovedFace,
+        Semantic, VertexId, WedgeId,
     },
-    progressive::{ReadLimits, Reader, Replay, Writer, decode_collapse, encode_collapse},
+    progressive::{
+        ProgressiveError, ReadLimits, Reader, Replay, Writer, decode_collapse, decode_edit,
+        encode_collapse, encode_edit,
+    },
 };
 
 /// A target of the mutation loop.
@@ -21,7 +25,7 @@ pub struct Target {
 }
 
 /// All targets.
-pub const TARGETS: [Target; 7] = [
+pub const TARGETS: [Target; 8] = [
     Target { name: "read_glb", body: read_glb, seeds: glb_seeds },
     Target { name: "read_gltf", body: read_gltf, seeds: gltf_seeds },
     Target { name: "read_ply", body: read_ply, seeds: ply_seeds },
@@ -29,6 +33,7 @@ pub const TARGETS: [Target; 7] = [
     Target { name: "read_stl", body: read_stl, seeds: stl_seeds },
     Target { name: "progressive_file", body: progressive_file, seeds: file_seeds },
     Target { name: "progressive_records", body: progressive_records, seeds: record_seeds },
+    Target { name: "progressive_edits", body: progressive_edits, seeds: edit_seeds },
 ];
 
 /// GLB reader.
@@ -72,12 +77,13 @@ fn read(name: &str, bytes: &[u8]) {
     }
 }
 
-/// Header, coarsest mesh, records both ways, levels.
+/// Header, coarsest mesh, records both ways, levels, their edits both ways.
 pub fn progressive_file(bytes: &[u8]) {
     let limits = ReadLimits {
         max_faces: 100_000,
         max_vertices: 100_000,
         max_attribute_values: 1_000_000,
+        max_edits: 100_000,
         max_section_bytes: 1 << 20,
         max_corner_visits: 1_000_000,
     };
@@ -88,6 +94,13 @@ pub fn progressive_file(bytes: &[u8]) {
         let original = collapses.to_mesh();
         while collapses.collapse().is_ok_and(|c| c.is_some()) {}
         let _ = (original, collapses.to_mesh());
+    }
+    for level in header.levels.iter().take(4) {
+        let _ = reader.extract_level(&level.name);
+        if let Ok(mut edits) = reader.edits_backward(&level.name) {
+            while edits.undo().is_ok_and(|e| e.is_some()) {}
+            let _ = edits.to_mesh();
+        }
     }
 }
 
@@ -109,6 +122,27 @@ pub fn progressive_records(mut bytes: &[u8]) {
     while let Some(collapse) = applied.pop() {
         let _ = replay.undo(&collapse);
     }
+}
+
+/// Stand-alone records of any kind, applied to a mesh and undone.
+pub fn progressive_edits(mut bytes: &[u8]) {
+    let Ok(mut replay) = Replay::from_mesh(&octahedron()) else { return };
+    let mut applied = Vec::new();
+    while let Ok((record, n_bytes)) = decode_edit(bytes) {
+        let mut again = Vec::new();
+        encode_edit(record.edit(), &mut again);
+        bytes = &bytes[n_bytes..];
+        if replay.apply_edit(record.edit()).is_ok() {
+            applied.push(record);
+        } else {
+            let _ = replay.undo_edit(record.edit());
+        }
+    }
+    let _ = replay.to_mesh();
+    while let Some(record) = applied.pop() {
+        let _ = replay.undo_edit(record.edit());
+    }
+    let _ = replay.to_mesh();
 }
 
 /// Eight triangles, a texture coordinate per vertex.
@@ -154,6 +188,30 @@ fn first_collapse(mesh: &Mesh) -> Collapse {
         first_new_wedge: WedgeId(6),
         new_wedges: vec![0.25, 0.5],
     }
+}
+
+/// Edits of every kind, one after another.
+fn some_edits(mesh: &Mesh) -> Vec<EditRecord> {
+    let Ok(mut edited) = EditMesh::new(mesh.clone()) else { return Vec::new() };
+    let [a, b, c] = mesh.faces[0].map(VertexId);
+    let middle = (edited.position(a) + edited.position(b)) * 0.5;
+    let values = [(a, [0.5, 0.25]), (c, [1.0, 0.0])];
+    let collapse = EditRecord::Collapse(edited.collapse(b, c, middle * 1.5));
+    let mut edits = vec![collapse, EditRecord::Displacement(edited.displace(a, middle * 0.5))];
+    edits.extend(edited.split(a, b, middle).map(EditRecord::Split));
+    edits.extend(edited.revalue(Semantic::TexCoord(0), &values).map(EditRecord::Revalue));
+    let apex = VertexId(edited.n_vertex_slots() as u32 - 1);
+    let mut around = Vec::new();
+    edited.neighbours(apex, &mut around);
+    let swap = around.into_iter().find_map(|end| edited.swap(apex, end));
+    edits.extend(swap.map(EditRecord::Swap));
+    edits
+}
+
+fn edit_seeds() -> Vec<Vec<u8>> {
+    let mut seed = Vec::new();
+    some_edits(&octahedron()).iter().for_each(|record| encode_edit(record.edit(), &mut seed));
+    vec![seed]
 }
 
 fn glb_seeds() -> Vec<Vec<u8>> {
@@ -212,11 +270,22 @@ fn file_seeds() -> Vec<Vec<u8>> {
     let mesh = octahedron();
     let Ok(mut writer) = Writer::new(&mesh) else { return Vec::new() };
     let plain = writer.clone().finish();
+    writer.mark_level("a");
+    let edited = with_edits(writer.clone(), &mesh);
     let with_record = match writer.push(&first_collapse(&mesh)) {
         Ok(()) => writer.finish(),
         Err(error) => Err(error),
     };
-    [plain, with_record].into_iter().flatten().collect()
+    [plain, with_record, edited].into_iter().flatten().collect()
+}
+
+fn with_edits(mut writer: Writer, mesh: &Mesh) -> Result<Vec<u8>, ProgressiveError> {
+    writer.begin_edits("a", mesh)?;
+    for record in some_edits(mesh) {
+        writer.push_edit(record.edit())?;
+    }
+    writer.push(&first_collapse(mesh))?;
+    writer.finish()
 }
 
 fn record_seeds() -> Vec<Vec<u8>> {
@@ -312,10 +381,20 @@ mod tests {
         is_model("a.ply", ply_seeds());
         is_model("a.obj", obj_seeds());
         is_model("a.stl", stl_seeds());
-        assert_eq!(file_seeds().len(), 2);
+        assert_eq!(file_seeds().len(), 3);
         for seed in file_seeds() {
             assert_eq!(Reader::open(&seed).unwrap().extract(8).unwrap(), octahedron());
         }
+        let reader = file_seeds().pop();
+        let reader = Reader::open(reader.as_deref().unwrap()).unwrap();
+        assert_eq!(reader.edits_forward("a").unwrap().flatten().count(), 5);
+        let (mut bytes, mut replay) =
+            (&edit_seeds()[0][..], Replay::from_mesh(&octahedron()).unwrap());
+        while let Ok((record, n_bytes)) = decode_edit(bytes) {
+            replay.apply_edit(record.edit()).unwrap();
+            bytes = &bytes[n_bytes..];
+        }
+        assert!(bytes.is_empty());
         let (collapse, _) = decode_collapse(&record_seeds()[0]).unwrap();
         Replay::from_mesh(&octahedron()).unwrap().apply(&collapse).unwrap();
     }

@@ -6,8 +6,8 @@ pub enum ProgressiveError {
     /// Not this format.
     #[error("not a progressive mesh: it does not begin with the signature of a .lkpm file")]
     NotProgressive,
-    /// A later format.
-    #[error("version {found} of the format; this build reads version {known}, use a newer build")]
+    /// Another version of the format.
+    #[error("version {found} of the format; this build reads version {known}, use another build")]
     Version {
         /// The file's version.
         found: u32,
@@ -57,6 +57,14 @@ pub enum ProgressiveError {
     /// A mesh that breaks its invariants.
     #[error("the mesh cannot be recorded: {problem}")]
     Mesh {
+        /// What is wrong.
+        problem: &'static str,
+    },
+    /// Edits of a level at the wrong moment.
+    #[error("edits of level '{level}' cannot be recorded: {problem}")]
+    Edits {
+        /// The level.
+        level: String,
         /// What is wrong.
         problem: &'static str,
     },

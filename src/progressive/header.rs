@@ -2,15 +2,17 @@
 //!
 //! ```text
 //! 8 bytes   89 4C 4B 50 4D 0D 0A 1A: 0x89 "LKPM" CR LF ^Z (text-mode copies damage it)
-//! u32       version of the format, 1
+//! u32       version of the format, 2
 //! u32       length of the header
 //! header    JSON, UTF-8: the struct Header
 //! u32       CRC-32 of all bytes before
-//! body      sections: the coarsest mesh, then blocks of records from coarse to fine
+//! body      sections: the coarsest mesh, blocks of records from coarse to fine, blocks of edits
+//!           level by level
 //! ```
 //!
-//! Integers are little endian. JSON, so that any program can list levels; the table of blocks
-//! says how far a level needs the body to be read.
+//! Integers are little endian. JSON, so that any program can list levels; the tables of blocks
+//! say which parts of the body a level needs. Version 1 had no edits of levels, only a flag
+//! `by_records_alone`.
 
 use serde::{Deserialize, Serialize};
 
@@ -23,7 +25,7 @@ use super::{
 use crate::mesh::{Material, Semantic};
 
 const MAGIC: [u8; 8] = *b"\x89LKPM\r\n\x1a";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 const MAX_HEADER_BYTES: u64 = 64 << 20;
 
 /// The header of a file. Counts without "base" are those of the original mesh.
@@ -75,25 +77,60 @@ pub struct Layer {
 pub struct Level {
     /// For example `lod-0`.
     pub name: String,
-    /// Triangles.
+    /// Triangles before edits.
     pub faces: u32,
-    /// Vertices that triangles use.
+    /// Vertices that triangles use, before edits.
     pub vertices: u32,
     /// Collapses applied to the original mesh.
     pub record: u32,
-    /// Whether the collapses alone make the level; `false` when later edits moved vertices, and
-    /// the mesh of these records is only where those edits began.
-    pub by_records_alone: bool,
+    /// Edits that follow the collapses in this level alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub edits: Option<LevelEdits>,
 }
 
-/// Records that are compressed together.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+impl Level {
+    /// Whether the collapses alone make the level; if not, their mesh is only where edits begin.
+    pub fn is_by_records_alone(&self) -> bool {
+        self.edits.is_none()
+    }
+
+    /// Triangles after all edits.
+    pub fn n_final_faces(&self) -> u32 {
+        self.edits.as_ref().map_or(self.faces, |edits| edits.faces)
+    }
+
+    /// Vertices that triangles use after all edits.
+    pub fn n_final_vertices(&self) -> u32 {
+        self.edits.as_ref().map_or(self.vertices, |edits| edits.vertices)
+    }
+
+    /// Edits after the collapses.
+    pub fn n_edits(&self) -> u32 {
+        self.edits.as_ref().map_or(0, |edits| edits.n_edits)
+    }
+}
+
+/// The edits of one level.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LevelEdits {
+    /// How many there are.
+    pub n_edits: u32,
+    /// Triangles after them.
+    pub faces: u32,
+    /// Vertices that triangles use after them.
+    pub vertices: u32,
+    /// The edits, in order.
+    pub blocks: Vec<Block>,
+}
+
+/// Records or edits that are compressed together.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Block {
     /// Number of records.
     pub n_records: u32,
-    /// Triangles before its first split.
+    /// Triangles before the first of them is undone, or the first edit applied.
     pub n_faces: u32,
-    /// Where the records are.
+    /// Where they are.
     pub section: Section,
 }
 
@@ -183,10 +220,15 @@ impl Header {
         let width = self.layers.iter().map(|l| u64::from(l.width)).sum::<u64>();
         let n_values = width.saturating_mul(self.n_all_wedges.into());
         check_limit("attribute values", n_values, limits.max_attribute_values)?;
-        for section in self.blocks.iter().map(|b| &b.section).chain([&self.base]) {
+        let edits = || self.levels.iter().filter_map(|level| level.edits.as_ref());
+        let blocks = self.blocks.iter().chain(edits().flat_map(|edits| &edits.blocks));
+        for section in blocks.clone().map(|b| &b.section).chain([&self.base]) {
             check_limit("bytes of a section", section.n_raw(), limits.max_section_bytes)?;
         }
-        let n_in_blocks: u64 = self.blocks.iter().map(|b| u64::from(b.n_records)).sum();
+        for edits in edits() {
+            check_limit("edits of a level", edits.n_edits.into(), limits.max_edits.into())?;
+        }
+        let n_in = |blocks: &[Block]| blocks.iter().map(|b| u64::from(b.n_records)).sum::<u64>();
         let rules = [
             (self.layers.iter().all(|l| l.width > 0), "an attribute layer without values"),
             (self.layers.is_empty() == (self.n_all_wedges == 0), "wedges and layers disagree"),
@@ -194,7 +236,12 @@ impl Header {
             (self.n_base_vertices <= self.n_vertices, "the coarsest level has more vertices"),
             (self.n_base_wedges <= self.n_all_wedges, "the coarsest level has more wedges"),
             (self.n_wedges <= self.n_all_wedges, "the original mesh has more wedges than all"),
-            (n_in_blocks == u64::from(self.n_records), "the blocks hold other records"),
+            (blocks.clone().all(|b| b.n_records > 0), "a block without records"),
+            (n_in(&self.blocks) == u64::from(self.n_records), "the blocks hold other records"),
+            (
+                edits().all(|edits| n_in(&edits.blocks) == u64::from(edits.n_edits)),
+                "the blocks of a level hold other edits",
+            ),
         ];
         match rules.iter().find(|(holds, _)| !holds) {
             None => Ok(()),
@@ -225,6 +272,7 @@ impl Header {
             materials: self.materials.iter().map(MaterialEntry::material).collect(),
             n_alive_faces: 0,
             n_alive_vertices: 0,
+            n_edits: 0,
         }
     }
 }

@@ -87,7 +87,16 @@ pub(super) fn decode(
     replay: &mut Replay,
     is_known: &mut [bool],
 ) -> Result<(Collapse, u64), Damage> {
-    let mut collapse = Collapse {
+    let mut collapse = blank_collapse();
+    let mut walk = Walk { coder: cursors, replay, is_known, work: 0 };
+    walk.record(&mut collapse)?;
+    let work = walk.work;
+    Ok((collapse, work))
+}
+
+/// A record to be filled in.
+pub(super) fn blank_collapse() -> Collapse {
+    Collapse {
         keep: VertexId(0),
         drop: VertexId(0),
         keep_from: DVec3::ZERO,
@@ -98,11 +107,7 @@ pub(super) fn decode(
         rewedged: SmallVec::new(),
         first_new_wedge: WedgeId(0),
         new_wedges: Vec::new(),
-    };
-    let mut walk = Walk { coder: cursors, replay, is_known, work: 0 };
-    walk.record(&mut collapse)?;
-    let work = walk.work;
-    Ok((collapse, work))
+    }
 }
 
 struct Walk<'a, C> {
@@ -347,7 +352,7 @@ impl<C: Coder> Walk<'_, C> {
     }
 
     fn changes(&mut self, ring: &mut Ring, c: &mut Collapse) -> Result<(), Damage> {
-        let mut n_new = u64::from(self.replay.n_new_wedges(c));
+        let mut n_new = u64::from(self.replay.n_wedges_of(&c.new_wedges));
         self.coder.small(&mut n_new)?;
         let first = u64::from(self.replay.n_wedges).checked_sub(n_new);
         c.first_new_wedge = WedgeId(first.ok_or(Damage("more new wedges than there are"))? as u32);

@@ -1,10 +1,14 @@
 //! Records in memory as bytes, first in, last out.
 
 use super::{
+    edits::{decode_edit, encode_edit},
     error::ProgressiveError,
-    record::{decode_collapse, encode_collapse},
+    record::decode_collapse,
 };
-use crate::mesh::Collapse;
+use crate::mesh::{Collapse, Edit, EditRecord};
+
+/// Reads a record from the start of bytes; gives it and its length too.
+type Decode<T> = fn(&[u8]) -> Result<(T, usize), ProgressiveError>;
 
 /// A stack of records, about a third of the size of the structs.
 #[derive(Clone, Debug, Default)]
@@ -19,16 +23,25 @@ impl RecordLog {
         self.begins.len()
     }
 
-    pub(super) fn push(&mut self, collapse: &Collapse) {
+    pub(super) fn push<'a>(&mut self, edit: impl Into<Edit<'a>>) {
         self.begins.push(self.bytes.len());
-        encode_collapse(collapse, &mut self.bytes);
+        encode_edit(edit, &mut self.bytes);
     }
 
-    /// The record pushed last; `None` when all are gone.
+    /// The record pushed last, a collapse; `None` when all are gone.
     pub(super) fn pop(&mut self) -> Result<Option<Collapse>, ProgressiveError> {
+        self.pop_by(decode_collapse)
+    }
+
+    /// The record pushed last, of any kind; `None` when all are gone.
+    pub(super) fn pop_edit(&mut self) -> Result<Option<EditRecord>, ProgressiveError> {
+        self.pop_by(decode_edit)
+    }
+
+    fn pop_by<T>(&mut self, decode: Decode<T>) -> Result<Option<T>, ProgressiveError> {
         let Some(begin) = self.begins.pop() else { return Ok(None) };
-        let (collapse, _) = decode_collapse(self.bytes.get(begin..).unwrap_or_default())?;
+        let (record, _) = decode(self.bytes.get(begin..).unwrap_or_default())?;
         self.bytes.truncate(begin);
-        Ok(Some(collapse))
+        Ok(Some(record))
     }
 }

@@ -1,4 +1,4 @@
-//! Levels out of a file, and its records both ways.
+//! Levels out of a file, and its records both ways. (The edits of levels: `reader_edits`.)
 //!
 //! A coarse level needs the header, the coarsest mesh and the blocks up to it; later bytes are not
 //! looked at, so a prefix of the file serves. Each checksum is checked when its part is read.
@@ -10,25 +10,25 @@ use super::{
     linked,
     log::RecordLog,
     replay::Replay,
-    section::{Cursors, Streams},
+    section::{Reading, Streams},
 };
-use crate::{
-    mesh::{Collapse, FaceId, Mesh, RemovedFace, VertexId, WedgeId},
-    progressive::bytes::Cursor,
-};
+use crate::mesh::{Collapse, FaceId, Mesh, RemovedFace, VertexId, WedgeId};
 
 /// What a reader refuses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ReadLimits {
-    /// Triangles of the original mesh.
+    /// Triangles of the original mesh, and of a level with all that its edits append.
     pub max_faces: u32,
-    /// Vertices of the original mesh.
+    /// Vertices, likewise.
     pub max_vertices: u32,
-    /// Values of attributes of all wedges, those of records included.
+    /// Values of attributes of all wedges, those of records included; of a level likewise.
     pub max_attribute_values: u64,
+    /// Edits of a level.
+    pub max_edits: u32,
     /// Bytes of a section before compression.
     pub max_section_bytes: u64,
-    /// Corners that all records together may make the reader visit (about 7 per record).
+    /// Corners that all records together, or the edits of a level, may make the reader visit
+    /// (about 7 per record).
     pub max_corner_visits: u64,
 }
 
@@ -38,6 +38,7 @@ impl Default for ReadLimits {
             max_faces: 40_000_000,
             max_vertices: 40_000_000,
             max_attribute_values: 1 << 30,
+            max_edits: 100_000_000,
             max_section_bytes: 2 << 30,
             max_corner_visits: 4_000_000_000,
         }
@@ -53,12 +54,20 @@ pub(super) fn check_limit(
     if count <= limit { Ok(()) } else { Err(ProgressiveError::OverLimit { what, count, limit }) }
 }
 
+/// Where the level of a name is.
+pub(super) fn find_level(levels: &[Level], name: &str) -> Result<usize, ProgressiveError> {
+    levels.iter().position(|level| level.name == name).ok_or_else(|| {
+        let known: Vec<&str> = levels.iter().map(|level| level.name.as_str()).collect();
+        ProgressiveError::UnknownLevel { name: name.to_owned(), known: known.join(", ") }
+    })
+}
+
 /// An opened file.
 #[derive(Clone, Debug)]
 pub struct Reader<'a> {
     header: Header,
-    body: &'a [u8],
-    limits: ReadLimits,
+    pub(super) body: &'a [u8],
+    pub(super) limits: ReadLimits,
 }
 
 impl<'a> Reader<'a> {
@@ -84,8 +93,8 @@ impl<'a> Reader<'a> {
         &self.header
     }
 
-    /// The level with the most triangles of those that have at most `target_faces`. Every record
-    /// is a level, so no other is nearer.
+    /// The level with the most triangles of those that have at most `target_faces`, by collapses
+    /// alone. Every record is a level, so no other is nearer.
     ///
     /// # Errors
     /// [`ProgressiveError::TooCoarse`] when even the coarsest level has more.
@@ -110,16 +119,12 @@ impl<'a> Reader<'a> {
     ///
     /// # Errors
     /// [`ProgressiveError::UnknownLevel`] names those that are there.
-    pub fn extract_level(&self, name: &str) -> Result<Mesh, ProgressiveError> {
-        let Some(level) = self.header.levels.iter().find(|l| l.name == name) else {
-            let known: Vec<&str> = self.header.levels.iter().map(|l| l.name.as_str()).collect();
-            let (name, known) = (name.to_owned(), known.join(", "));
-            return Err(ProgressiveError::UnknownLevel { name, known });
-        };
-        self.extract_record(level)
+    pub fn level(&self, name: &str) -> Result<&Level, ProgressiveError> {
+        find_level(&self.header.levels, name).map(|i| &self.header.levels[i])
     }
 
-    fn extract_record(&self, level: &Level) -> Result<Mesh, ProgressiveError> {
+    /// A level as the collapses leave it, where its edits begin.
+    pub(super) fn extract_record(&self, level: &Level) -> Result<Mesh, ProgressiveError> {
         let mut splits = self.coarse_to_fine()?;
         while splits.n_left > level.record && splits.split()?.is_some() {}
         Ok(splits.to_mesh())
@@ -137,8 +142,7 @@ impl<'a> Reader<'a> {
             replay,
             is_known,
             next_block: 0,
-            streams: Streams::default(),
-            n_taken: [0; 3],
+            block: Reading::default(),
             n_left_in_block: 0,
             n_left: self.header.n_records,
             n_visits: 0,
@@ -205,9 +209,7 @@ pub struct CoarseToFine<'a> {
     replay: Replay,
     is_known: Vec<bool>,
     next_block: usize,
-    streams: Streams,
-    /// Bytes of each stream of the present block that have been read.
-    n_taken: [usize; 3],
+    block: Reading,
     n_left_in_block: u32,
     n_left: u32,
     n_visits: u64,
@@ -267,24 +269,16 @@ impl CoarseToFine<'_> {
             self.open_block()?;
         }
         let place = self.place();
-        let [shape, ids, digits] = self.n_taken;
-        let mut cursors = Cursors {
-            shape: Cursor::new(&self.streams.shape[shape..]),
-            ids: Cursor::new(&self.streams.ids[ids..]),
-            digits: Cursor::new(&self.streams.digits[digits..]),
-        };
+        let mut cursors = self.block.rest();
         let (collapse, n_visits) =
             linked::decode(&mut cursors, &mut self.replay, &mut self.is_known)
                 .map_err(|damage| damage.at(place.clone()))?;
-        self.n_taken = [
-            self.streams.shape.len() - cursors.shape.n_left(),
-            self.streams.ids.len() - cursors.ids.n_left(),
-            self.streams.digits.len() - cursors.digits.n_left(),
-        ];
+        let n_left = cursors.n_left();
+        self.block.leave(n_left);
         self.n_visits += n_visits;
         check_limit("corner visits", self.n_visits, self.reader.limits.max_corner_visits)?;
         self.n_left_in_block -= 1;
-        if self.n_left_in_block == 0 && !cursors.is_empty() {
+        if self.n_left_in_block == 0 && n_left != [0; 3] {
             return Err(Damage("bytes are left over in its block").at(place));
         }
         Ok(collapse)
@@ -298,8 +292,7 @@ impl CoarseToFine<'_> {
         if block.n_faces != self.replay.n_faces() {
             return Err(Damage("it begins at another level").at(place));
         }
-        self.streams = Streams::unpack(&block.section, self.reader.body, &place)?;
-        self.n_taken = [0; 3];
+        self.block = Reading::new(Streams::unpack(&block.section, self.reader.body, &place)?);
         self.n_left_in_block = block.n_records;
         self.next_block += 1;
         Ok(())

@@ -7,7 +7,7 @@
 //!              bit 1      drop_from has the bits of to
 //!              bit 2      the wedge part is there (else: wedges all 0, none replaced or new)
 //!              bits 3..5  number of removed faces; 3: a varint with the number follows
-//!              bits 5..8  0
+//!              bits 5..8  0 (other edits have other numbers there, see `edits`)
 //! keep         varint
 //! drop         signed, from keep
 //! to           3 × 8 bytes, little endian
@@ -42,6 +42,8 @@ const KEEP_STAYS: u8 = 1;
 const DROP_STAYS: u8 = 2;
 const HAS_WEDGES: u8 = 4;
 const MANY_REMOVED: u8 = 3;
+/// Where the kind of an edit begins in its flags.
+pub(super) const KIND_SHIFT: u8 = 5;
 pub(super) const GENERAL_ORDER: u8 = 6;
 
 /// Appends the record to `out`.
@@ -64,14 +66,14 @@ pub fn encode_collapse(c: &Collapse, out: &mut Vec<u8>) {
     }
     put_varint(out, c.keep.0.into());
     put_signed(out, delta(c.keep.0, c.drop.0));
-    out.extend(c.to.to_array().iter().flat_map(|x| x.to_le_bytes()));
+    put_place(out, c.to);
     if !keep_stays {
         put_point(out, c.to, c.keep_from);
     }
     if !drop_stays {
         put_point(out, c.to, c.drop_from);
     }
-    put_removed(out, c);
+    put_faces(out, [c.keep, c.drop], c.removed.iter().copied());
     put_varint(out, c.moved.len() as u64);
     let mut before = c.keep.0.wrapping_mul(6);
     for corner in &c.moved {
@@ -83,7 +85,13 @@ pub fn encode_collapse(c: &Collapse, out: &mut Vec<u8>) {
     }
 }
 
-fn put_point(out: &mut Vec<u8>, prediction: DVec3, p: DVec3) {
+/// A place as it is.
+pub(super) fn put_place(out: &mut Vec<u8>, p: DVec3) {
+    out.extend(p.to_array().iter().flat_map(|x| x.to_le_bytes()));
+}
+
+/// A place by a prediction.
+pub(super) fn put_point(out: &mut Vec<u8>, prediction: DVec3, p: DVec3) {
     for (guess, x) in prediction.to_array().into_iter().zip(p.to_array()) {
         let at = out.len();
         out.push(0);
@@ -91,38 +99,61 @@ fn put_point(out: &mut Vec<u8>, prediction: DVec3, p: DVec3) {
     }
 }
 
-fn put_removed(out: &mut Vec<u8>, c: &Collapse) {
-    let mut before = c.keep.0.wrapping_mul(2);
-    for face in &c.removed {
+/// Faces at the edge (keep, drop), without their wedges.
+pub(super) fn put_faces(
+    out: &mut Vec<u8>,
+    [keep, drop]: [VertexId; 2],
+    faces: impl Iterator<Item = RemovedFace>,
+) {
+    let mut before = keep.0.wrapping_mul(2);
+    for face in faces {
         put_signed(out, delta(before, face.face.0));
         before = face.face.0;
-        let order = order_of(face.vertices, c.keep, c.drop);
+        let order = order_of(face.vertices, keep, drop);
         out.push(order);
         match third_corner(order) {
-            Some(third) => put_signed(out, delta(c.keep.0, face.vertices[third].0)),
-            None => face.vertices.iter().for_each(|v| put_signed(out, delta(c.keep.0, v.0))),
+            Some(third) => put_signed(out, delta(keep.0, face.vertices[third].0)),
+            None => face.vertices.iter().for_each(|v| put_signed(out, delta(keep.0, v.0))),
         }
     }
 }
 
 fn put_wedges(out: &mut Vec<u8>, c: &Collapse) {
     let mut before = 0;
-    let mut put = |out: &mut Vec<u8>, wedge: WedgeId| {
-        put_signed(out, delta(before, wedge.0));
-        before = wedge.0;
-    };
-    c.removed.iter().flat_map(|f| f.wedges).for_each(|w| put(out, w));
-    put_varint(out, c.rewedged.len() as u64);
-    let mut corner = c.keep.0.wrapping_mul(6);
-    for r in &c.rewedged {
+    for wedge in c.removed.iter().flat_map(|f| f.wedges) {
+        put_wedge(out, &mut before, wedge);
+    }
+    put_rewedged(out, before, c.keep.0.wrapping_mul(6), &c.rewedged);
+    put_new_wedges(out, c.first_new_wedge, &c.new_wedges);
+}
+
+/// A wedge by the one before.
+pub(super) fn put_wedge(out: &mut Vec<u8>, before: &mut u32, wedge: WedgeId) {
+    put_signed(out, delta(*before, wedge.0));
+    *before = wedge.0;
+}
+
+/// Corners that changed wedge, from a wedge and a corner before.
+pub(super) fn put_rewedged(
+    out: &mut Vec<u8>,
+    mut wedge: u32,
+    mut corner: u32,
+    rewedged: &[Rewedged],
+) {
+    put_varint(out, rewedged.len() as u64);
+    for r in rewedged {
         put_signed(out, delta(corner, r.corner.0));
         corner = r.corner.0;
-        put(out, r.from);
-        put(out, r.to);
+        put_wedge(out, &mut wedge, r.from);
+        put_wedge(out, &mut wedge, r.to);
     }
-    put_varint(out, c.first_new_wedge.0.into());
-    put_varint(out, c.new_wedges.len() as u64);
-    out.extend(c.new_wedges.iter().flat_map(|v| v.to_bits().to_le_bytes()));
+}
+
+/// Appended wedges.
+pub(super) fn put_new_wedges(out: &mut Vec<u8>, first: WedgeId, values: &[f32]) {
+    put_varint(out, first.0.into());
+    put_varint(out, values.len() as u64);
+    out.extend(values.iter().flat_map(|v| v.to_bits().to_le_bytes()));
 }
 
 /// Reads one record from the start of `bytes`; returns it and the number of bytes it took.
@@ -136,9 +167,9 @@ pub fn decode_collapse(bytes: &[u8]) -> Result<(Collapse, usize), ProgressiveErr
     Ok((collapse, bytes.len() - cursor.n_left()))
 }
 
-fn decode(cursor: &mut Cursor<'_>) -> Result<Collapse, Damage> {
+pub(super) fn decode(cursor: &mut Cursor<'_>) -> Result<Collapse, Damage> {
     let flags = cursor.byte()?;
-    if flags >> 5 != 0 {
+    if flags >> KIND_SHIFT != 0 {
         return Err(Damage("unknown flags of a record"));
     }
     let n_removed = match flags >> 3 {
@@ -147,14 +178,10 @@ fn decode(cursor: &mut Cursor<'_>) -> Result<Collapse, Damage> {
     };
     let keep = VertexId(cursor.id()?);
     let drop = VertexId(cursor.id_near(keep.0)?);
-    let mut to = [0.0; 3];
-    for x in &mut to {
-        *x = f64::from_le_bytes(cursor.array()?);
-    }
-    let to = DVec3::from_array(to);
+    let to = place(cursor)?;
     let keep_from = if flags & KEEP_STAYS == 0 { point(cursor, to)? } else { to };
     let drop_from = if flags & DROP_STAYS == 0 { point(cursor, to)? } else { to };
-    let removed = removed_faces(cursor, n_removed, keep, drop)?;
+    let removed = faces(cursor, n_removed, [keep, drop])?;
     let mut before = keep.0.wrapping_mul(6);
     let mut moved = SmallVec::new();
     for _ in 0..cursor.count()? {
@@ -179,7 +206,17 @@ fn decode(cursor: &mut Cursor<'_>) -> Result<Collapse, Damage> {
     Ok(collapse)
 }
 
-fn point(cursor: &mut Cursor<'_>, prediction: DVec3) -> Result<DVec3, Damage> {
+/// What [`put_place`] put.
+pub(super) fn place(cursor: &mut Cursor<'_>) -> Result<DVec3, Damage> {
+    let mut p = [0.0; 3];
+    for x in &mut p {
+        *x = f64::from_le_bytes(cursor.array()?);
+    }
+    Ok(DVec3::from_array(p))
+}
+
+/// What [`put_point`] put.
+pub(super) fn point(cursor: &mut Cursor<'_>, prediction: DVec3) -> Result<DVec3, Damage> {
     let mut p = prediction.to_array();
     for x in &mut p {
         let code = cursor.byte()?;
@@ -188,11 +225,11 @@ fn point(cursor: &mut Cursor<'_>, prediction: DVec3) -> Result<DVec3, Damage> {
     Ok(DVec3::from_array(p))
 }
 
-fn removed_faces(
+/// What [`put_faces`] put; all their wedges are 0.
+pub(super) fn faces(
     cursor: &mut Cursor<'_>,
     n: usize,
-    keep: VertexId,
-    drop: VertexId,
+    [keep, drop]: [VertexId; 2],
 ) -> Result<SmallVec<[RemovedFace; 2]>, Damage> {
     let mut before = keep.0.wrapping_mul(2);
     let mut removed = SmallVec::new();
@@ -217,24 +254,45 @@ fn removed_faces(
 
 fn wedges(cursor: &mut Cursor<'_>, collapse: &mut Collapse) -> Result<(), Damage> {
     let mut before = 0;
-    let mut next = |cursor: &mut Cursor<'_>| {
-        before = cursor.id_near(before)?;
-        Ok(WedgeId(before))
-    };
     for wedge in collapse.removed.iter_mut().flat_map(|f| &mut f.wedges) {
-        *wedge = next(cursor)?;
+        *wedge = next_wedge(cursor, &mut before)?;
     }
-    let mut corner = collapse.keep.0.wrapping_mul(6);
+    let corner = collapse.keep.0.wrapping_mul(6);
+    rewedged(cursor, before, corner, |r| collapse.rewedged.push(r))?;
+    (collapse.first_new_wedge, collapse.new_wedges) = new_wedges(cursor)?;
+    Ok(())
+}
+
+/// What [`put_wedge`] put.
+pub(super) fn next_wedge(cursor: &mut Cursor<'_>, before: &mut u32) -> Result<WedgeId, Damage> {
+    *before = cursor.id_near(*before)?;
+    Ok(WedgeId(*before))
+}
+
+/// What [`put_rewedged`] put, one by one.
+pub(super) fn rewedged(
+    cursor: &mut Cursor<'_>,
+    mut wedge: u32,
+    mut corner: u32,
+    mut take: impl FnMut(Rewedged),
+) -> Result<(), Damage> {
     for _ in 0..cursor.count()? {
         corner = cursor.id_near(corner)?;
-        let (from, to) = (next(cursor)?, next(cursor)?);
-        collapse.rewedged.push(Rewedged { corner: Corner(corner), from, to });
-    }
-    collapse.first_new_wedge = WedgeId(cursor.id()?);
-    for _ in 0..cursor.count()? {
-        collapse.new_wedges.push(f32::from_bits(u32::from_le_bytes(cursor.array()?)));
+        let from = next_wedge(cursor, &mut wedge)?;
+        let to = next_wedge(cursor, &mut wedge)?;
+        take(Rewedged { corner: Corner(corner), from, to });
     }
     Ok(())
+}
+
+/// What [`put_new_wedges`] put.
+pub(super) fn new_wedges(cursor: &mut Cursor<'_>) -> Result<(WedgeId, Vec<f32>), Damage> {
+    let first = WedgeId(cursor.id()?);
+    let mut values = Vec::new();
+    for _ in 0..cursor.count()? {
+        values.push(f32::from_bits(u32::from_le_bytes(cursor.array()?)));
+    }
+    Ok((first, values))
 }
 
 /// Whether two points are the same bit by bit (−0 is not 0, NaN equals itself).

@@ -5,7 +5,9 @@
 //! 2. vertices of alive faces are alive, the three of a face are distinct;
 //! 3. a record is checked against the mesh as a whole before anything is changed: after an error
 //!    the mesh is as before;
-//! 4. values of wedges are appended by `apply` and never overwritten by other values.
+//! 4. values of wedges are appended and never overwritten by other values.
+//!
+//! Collapses are here, other edits in `replay_edits`.
 
 use glam::DVec3;
 
@@ -15,7 +17,7 @@ use super::{
     rings::Rings,
 };
 use crate::mesh::{
-    AttributeLayer, Collapse, Material, Mesh, RemovedFace, Semantic, VertexId, WedgeId,
+    AttributeLayer, Collapse, Material, Mesh, RemovedFace, Rewedged, Semantic, VertexId, WedgeId,
 };
 
 /// A mesh at some level between the original and the coarsest.
@@ -40,6 +42,22 @@ pub struct Replay {
     pub(super) materials: Vec<Material>,
     pub(super) n_alive_faces: u32,
     pub(super) n_alive_vertices: u32,
+    /// Edits other than collapses that are applied.
+    pub(super) n_edits: u64,
+}
+
+/// What an edit does to wedges.
+#[derive(Clone, Copy)]
+pub(super) struct WedgeChange<'a> {
+    pub(super) rewedged: &'a [Rewedged],
+    pub(super) first_new: WedgeId,
+    pub(super) new_values: &'a [f32],
+}
+
+impl<'a> WedgeChange<'a> {
+    fn of(c: &'a Collapse) -> Self {
+        Self { rewedged: &c.rewedged, first_new: c.first_new_wedge, new_values: &c.new_wedges }
+    }
 }
 
 impl Replay {
@@ -74,6 +92,7 @@ impl Replay {
             materials: mesh.materials.clone(),
             n_alive_faces: n_faces as u32,
             n_alive_vertices: n_vertices as u32,
+            n_edits: 0,
         })
     }
 
@@ -99,16 +118,7 @@ impl Replay {
         for corner in &c.moved {
             self.move_corner(corner.0, c.drop, c.keep);
         }
-        for r in &c.rewedged {
-            self.face_wedges[r.corner.face().index()][r.corner.k()] = r.to.0;
-        }
-        let begin = c.first_new_wedge.index() * self.width();
-        let end = begin + c.new_wedges.len();
-        if self.wedge_values.len() < end {
-            self.wedge_values.resize(end, 0.0);
-        }
-        self.wedge_values[begin..end].copy_from_slice(&c.new_wedges);
-        self.n_wedges += self.n_new_wedges(c);
+        self.apply_wedges(WedgeChange::of(c));
         self.positions[c.keep.index()] = c.to.to_array();
         self.is_vertex_alive[c.drop.index()] = false;
         self.n_alive_vertices -= 1;
@@ -125,10 +135,7 @@ impl Replay {
         self.n_alive_vertices += 1;
         self.positions[c.keep.index()] = c.keep_from.to_array();
         self.positions[c.drop.index()] = c.drop_from.to_array();
-        self.n_wedges -= self.n_new_wedges(c);
-        for r in &c.rewedged {
-            self.face_wedges[r.corner.face().index()][r.corner.k()] = r.from.0;
-        }
+        self.undo_wedges(WedgeChange::of(c));
         for corner in &c.moved {
             self.move_corner(corner.0, c.keep, c.drop);
         }
@@ -143,7 +150,8 @@ impl Replay {
     }
 
     /// The mesh of this level: its faces in the order of their ids, and the vertices and wedges
-    /// that they use, in the order of theirs. With no record applied it is the original, verbatim.
+    /// that they use, in the order of theirs. With no record or edit applied it is the original,
+    /// verbatim.
     pub fn to_mesh(&self) -> Mesh {
         if self.is_original() {
             return self.mesh_of(
@@ -165,11 +173,12 @@ impl Replay {
         mesh
     }
 
-    /// Whether no record is applied.
+    /// Whether no record and no edit is applied.
     pub(super) fn is_original(&self) -> bool {
         self.n_alive_faces as usize == self.faces.len()
             && self.n_alive_vertices as usize == self.positions.len()
             && self.n_wedges == self.n_original_wedges
+            && self.n_edits == 0
     }
 
     /// Values per wedge, all layers together.
@@ -177,8 +186,9 @@ impl Replay {
         self.layers.iter().map(|l| l.1).sum()
     }
 
-    pub(super) fn n_new_wedges(&self, c: &Collapse) -> u32 {
-        (c.new_wedges.len() / self.width().max(1)) as u32
+    /// Wedges that have so many values together.
+    pub(super) fn n_wedges_of(&self, values: &[f32]) -> u32 {
+        (values.len() / self.width().max(1)) as u32
     }
 
     /// All layers of a wedge; nothing for one that is not there.
@@ -234,13 +244,35 @@ impl Replay {
         }
     }
 
-    fn move_corner(&mut self, corner: u32, from: VertexId, to: VertexId) {
+    /// Appends wedges and gives corners their new ones.
+    pub(super) fn apply_wedges(&mut self, change: WedgeChange<'_>) {
+        for r in change.rewedged {
+            self.face_wedges[r.corner.face().index()][r.corner.k()] = r.to.0;
+        }
+        let begin = change.first_new.index() * self.width();
+        let end = begin + change.new_values.len();
+        if self.wedge_values.len() < end {
+            self.wedge_values.resize(end, 0.0);
+        }
+        self.wedge_values[begin..end].copy_from_slice(change.new_values);
+        self.n_wedges += self.n_wedges_of(change.new_values);
+    }
+
+    /// Takes back wedges, but keeps their values: the same ones come again.
+    pub(super) fn undo_wedges(&mut self, change: WedgeChange<'_>) {
+        self.n_wedges -= self.n_wedges_of(change.new_values);
+        for r in change.rewedged {
+            self.face_wedges[r.corner.face().index()][r.corner.k()] = r.from.0;
+        }
+    }
+
+    pub(super) fn move_corner(&mut self, corner: u32, from: VertexId, to: VertexId) {
         self.rings.remove(from.0, corner);
         self.rings.insert(to.0, corner);
         self.faces[corner as usize / 3][corner as usize % 3] = to.0;
     }
 
-    fn check_apply(&self, c: &Collapse) -> Result<(), Damage> {
+    pub(super) fn check_apply(&self, c: &Collapse) -> Result<(), Damage> {
         ensure(c.keep != c.drop, "keep and drop are the same vertex")?;
         ensure(self.is_alive(c.keep) && self.is_alive(c.drop), "keep or drop is not there")?;
         let is_at = |v: VertexId, p| same_bits(DVec3::from_array(self.positions[v.index()]), p);
@@ -261,7 +293,7 @@ impl Replay {
         // No moved corner is of a removed face, so equal numbers mean that none is missing.
         let n_corners = self.rings.of(c.drop.0).count();
         ensure(n_corners == c.moved.len() + c.removed.len(), "not all corners of drop are named")?;
-        self.check_wedges(c, self.n_wedges, |r| (r.from, r.to))?;
+        self.check_wedges(WedgeChange::of(c), self.n_wedges, |r| (r.from, r.to))?;
         for r in &c.rewedged {
             let face = self.faces[r.corner.face().index()];
             let is_removed = face.contains(&c.keep.0) && face.contains(&c.drop.0);
@@ -270,7 +302,7 @@ impl Replay {
         Ok(())
     }
 
-    fn check_undo(&self, c: &Collapse) -> Result<(), Damage> {
+    pub(super) fn check_undo(&self, c: &Collapse) -> Result<(), Damage> {
         ensure(self.is_alive(c.keep), "keep is not there")?;
         ensure(self.is_vertex_alive.get(c.drop.index()) == Some(&false), "drop was not dropped")?;
         let is_at = same_bits(DVec3::from_array(self.positions[c.keep.index()]), c.to);
@@ -293,14 +325,7 @@ impl Replay {
             ensure(are_known, "a removed face has an unknown wedge")?;
         }
         self.check_corners(c, c.keep)?;
-        ensure(self.n_new_wedges(c) <= self.n_wedges, "more new wedges than there are")?;
-        self.check_wedges(c, self.n_wedges - self.n_new_wedges(c), |r| (r.to, r.from))?;
-        ensure(c.rewedged.iter().all(|r| r.from < first_new), "an old wedge is not old")?;
-        let begin = first_new.index() * self.width();
-        let values = self.wedge_values.get(begin..begin + c.new_wedges.len()).unwrap_or_default();
-        let is_same =
-            values.iter().map(|v| v.to_bits()).eq(c.new_wedges.iter().map(|v| v.to_bits()));
-        ensure(is_same, "the new wedges have other values")
+        self.check_undo_wedges(WedgeChange::of(c))
     }
 
     /// The moved corners are corners of alive faces, all at `vertex`, of faces without the other
@@ -318,27 +343,41 @@ impl Replay {
         Ok(())
     }
 
-    /// `n_before` wedges were there before the collapse; `sides` gives (now, then) of a change.
-    fn check_wedges(
+    /// The change is the last one that was made.
+    pub(super) fn check_undo_wedges(&self, change: WedgeChange<'_>) -> Result<(), Damage> {
+        let n_before = self.n_wedges.checked_sub(self.n_wedges_of(change.new_values));
+        let n_before = n_before.filter(|n| *n >= self.n_original_wedges);
+        let n_before = n_before.ok_or(Damage("more new wedges than there are"))?;
+        self.check_wedges(change, n_before, |r| (r.to, r.from))?;
+        let are_old = change.rewedged.iter().all(|r| r.from < change.first_new);
+        ensure(are_old, "an old wedge is not old")?;
+        let begin = change.first_new.index() * self.width();
+        let values = self.wedge_values.get(begin..begin + change.new_values.len());
+        let values = values.unwrap_or_default().iter().map(|v| v.to_bits());
+        let is_same = values.eq(change.new_values.iter().map(|v| v.to_bits()));
+        ensure(is_same, "the new wedges have other values")
+    }
+
+    /// `n_before` wedges were there before the change; `sides` gives (now, then) of a corner.
+    pub(super) fn check_wedges(
         &self,
-        c: &Collapse,
+        change: WedgeChange<'_>,
         n_before: u32,
-        sides: fn(&crate::mesh::Rewedged) -> (WedgeId, WedgeId),
+        sides: fn(&Rewedged) -> (WedgeId, WedgeId),
     ) -> Result<(), Damage> {
+        let WedgeChange { rewedged, first_new, new_values } = change;
         if self.layers.is_empty() {
-            let none = c.rewedged.is_empty() && c.new_wedges.is_empty() && c.first_new_wedge.0 == 0;
+            let none = rewedged.is_empty() && new_values.is_empty() && first_new.0 == 0;
             return ensure(none, "wedges in a mesh without attributes");
         }
-        ensure(c.first_new_wedge.0 == n_before, "new wedges do not follow the last one")?;
-        let is_whole = c.new_wedges.len().is_multiple_of(self.width());
+        ensure(first_new.0 == n_before, "new wedges do not follow the last one")?;
+        let is_whole = new_values.len().is_multiple_of(self.width());
         ensure(is_whole, "the values of new wedges are not complete")?;
-        let n_after = n_before.checked_add(self.n_new_wedges(c));
+        let n_after = n_before.checked_add(self.n_wedges_of(new_values));
         let n_after = n_after.ok_or(Damage("more wedges than 32 bits can number"))?;
-        ensure(
-            is_ascending(c.rewedged.iter().map(|r| r.corner.0)),
-            "changed wedges do not ascend",
-        )?;
-        for r in &c.rewedged {
+        let ascend = is_ascending(rewedged.iter().map(|r| r.corner.0));
+        ensure(ascend, "changed wedges do not ascend")?;
+        for r in rewedged {
             let id = r.corner.face().index();
             ensure(self.is_face_alive.get(id) == Some(&true), "a changed corner is not there")?;
             let (now, then) = sides(r);
@@ -348,16 +387,16 @@ impl Replay {
         Ok(())
     }
 
-    fn is_alive(&self, v: VertexId) -> bool {
+    pub(super) fn is_alive(&self, v: VertexId) -> bool {
         self.is_vertex_alive.get(v.index()) == Some(&true)
     }
 }
 
-fn ensure(condition: bool, problem: &'static str) -> Result<(), Damage> {
+pub(super) fn ensure(condition: bool, problem: &'static str) -> Result<(), Damage> {
     if condition { Ok(()) } else { Err(Damage(problem)) }
 }
 
-fn is_ascending(ids: impl Iterator<Item = u32>) -> bool {
+pub(super) fn is_ascending(ids: impl Iterator<Item = u32>) -> bool {
     ids.is_sorted_by(|a, b| a < b)
 }
 

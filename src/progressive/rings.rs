@@ -20,6 +20,28 @@ impl Rings {
         }
     }
 
+    /// Appends a vertex without corners.
+    pub(super) fn push_vertex(&mut self) {
+        self.first.push(0);
+    }
+
+    /// Removes the last vertex, which has no corners.
+    pub(super) fn pop_vertex(&mut self) {
+        self.first.pop();
+    }
+
+    /// Appends the three corners of a face, not linked yet.
+    pub(super) fn push_face(&mut self) {
+        self.next.extend([0; 3]);
+        self.previous.extend([0; 3]);
+    }
+
+    /// Removes the corners of the last face, which are not linked.
+    pub(super) fn pop_face(&mut self) {
+        self.next.truncate(self.next.len().saturating_sub(3));
+        self.previous.truncate(self.next.len());
+    }
+
     /// Links `corner` to `vertex`.
     pub(super) fn insert(&mut self, vertex: u32, corner: u32) {
         let head = std::mem::replace(&mut self.first[vertex as usize], corner + 1);
@@ -73,5 +95,20 @@ mod tests {
             assert_eq!(rings.of(1).collect::<Vec<_>>(), left);
         }
         assert!(rings.is_empty(1) && rings.is_empty(0));
+    }
+
+    #[test]
+    fn vertices_and_faces_are_appended_and_removed() {
+        let mut rings = Rings::new(1, 1);
+        rings.insert(0, 1);
+        rings.push_vertex();
+        rings.push_face();
+        (3..=5).for_each(|c| rings.insert(1, c));
+        assert_eq!(rings.of(1).collect::<Vec<_>>(), [5, 4, 3]);
+        (3..=5).for_each(|c| rings.remove(1, c));
+        rings.pop_face();
+        rings.pop_vertex();
+        assert_eq!(rings.of(0).collect::<Vec<_>>(), [1]);
+        assert_eq!((rings.first.len(), rings.next.len(), rings.previous.len()), (1, 3, 3));
     }
 }

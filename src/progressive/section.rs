@@ -101,10 +101,42 @@ impl Streams {
     }
 
     pub(super) fn cursors(&self) -> Cursors<'_> {
+        self.cursors_after([0; 3])
+    }
+
+    fn cursors_after(&self, [shape, ids, digits]: [usize; 3]) -> Cursors<'_> {
+        let rest = |stream, n| Cursor::new(<[u8]>::get(stream, n..).unwrap_or_default());
         Cursors {
-            shape: Cursor::new(&self.shape),
-            ids: Cursor::new(&self.ids),
-            digits: Cursor::new(&self.digits),
+            shape: rest(&self.shape, shape),
+            ids: rest(&self.ids, ids),
+            digits: rest(&self.digits, digits),
+        }
+    }
+}
+
+/// A section that is read record by record.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Reading {
+    streams: Streams,
+    /// Bytes of each stream that have been read.
+    n_taken: [usize; 3],
+}
+
+impl Reading {
+    pub(super) fn new(streams: Streams) -> Self {
+        Self { streams, n_taken: [0; 3] }
+    }
+
+    /// What has not been read yet.
+    pub(super) fn rest(&self) -> Cursors<'_> {
+        self.streams.cursors_after(self.n_taken)
+    }
+
+    /// Remembers that only the last `n_left` bytes of each stream are left.
+    pub(super) fn leave(&mut self, n_left: [usize; 3]) {
+        let lengths = [&self.streams.shape, &self.streams.ids, &self.streams.digits].map(Vec::len);
+        for ((taken, length), left) in self.n_taken.iter_mut().zip(lengths).zip(n_left) {
+            *taken = length - left;
         }
     }
 }
@@ -118,8 +150,13 @@ pub(super) struct Cursors<'a> {
 }
 
 impl Cursors<'_> {
+    /// Bytes left in each stream.
+    pub(super) fn n_left(&self) -> [usize; 3] {
+        [self.shape, self.ids, self.digits].map(|cursor| cursor.n_left())
+    }
+
     pub(super) fn is_empty(&self) -> bool {
-        self.shape.n_left() + self.ids.n_left() + self.digits.n_left() == 0
+        self.n_left() == [0; 3]
     }
 }
 

@@ -2,7 +2,7 @@
 //!
 //! The writer keeps the mesh at its present level and the records so far as bytes, about 50 bytes
 //! per original triangle each. At the end it walks back from the coarsest mesh to the original and
-//! codes each record against the mesh that it refines.
+//! codes each record against the mesh that it refines. (The edits of levels: `writer_edits`.)
 
 use super::{
     ProgressiveError,
@@ -13,21 +13,23 @@ use super::{
     log::RecordLog,
     replay::Replay,
     section::{Section, Streams},
+    writer_edits::{EditedLevels, fingerprint},
 };
 use crate::mesh::{Collapse, Mesh};
 
 /// Records in a block: enough to compress well, few enough that a level wastes little.
-const BLOCK_RECORDS: u32 = 4096;
+pub(super) const BLOCK_RECORDS: u32 = 4096;
 /// A block ends at this size too (long rings).
-const BLOCK_BYTES: usize = 1 << 20;
+pub(super) const BLOCK_BYTES: usize = 1 << 20;
 
 /// Makes a progressive mesh.
 #[derive(Clone, Debug)]
 pub struct Writer {
     replay: Replay,
     log: RecordLog,
-    levels: Vec<Level>,
+    pub(super) levels: Vec<Level>,
     materials: Vec<MaterialEntry>,
+    pub(super) edited: EditedLevels,
 }
 
 impl Writer {
@@ -43,6 +45,7 @@ impl Writer {
             log: RecordLog::default(),
             levels: Vec::new(),
             materials: materials.ok_or(ProgressiveError::Mesh { problem })?,
+            edited: EditedLevels::default(),
         })
     }
 
@@ -57,15 +60,16 @@ impl Writer {
         Ok(())
     }
 
-    /// Gives the present level a name. `by_records_alone` is `false` when the level that users see
-    /// is edited further in ways that records do not describe.
-    pub fn mark_level(&mut self, name: &str, by_records_alone: bool) {
+    /// Gives the present level a name. Its edits may be recorded from now on
+    /// ([`Self::begin_edits`]), whatever collapses follow.
+    pub fn mark_level(&mut self, name: &str) {
+        self.edited.fingerprints.push(fingerprint(&self.replay.to_mesh()));
         self.levels.push(Level {
             name: name.to_owned(),
             faces: self.replay.n_faces(),
             vertices: self.replay.n_vertices(),
             record: self.n_records(),
-            by_records_alone,
+            edits: None,
         });
     }
 
@@ -79,11 +83,13 @@ impl Writer {
         &self.replay
     }
 
-    /// The file. The present level becomes the coarsest.
+    /// The file. The present level becomes the coarsest; edits of a level that were not ended end
+    /// here.
     ///
     /// # Errors
     /// [`ProgressiveError::Compression`] when a part is over 4 GiB or the compressor fails.
     pub fn finish(mut self) -> Result<Vec<u8>, ProgressiveError> {
+        self.end_edits()?;
         let mut header = self.header();
         let mut base = Streams::default();
         self.put_base_mesh(&mut base)?;
@@ -101,9 +107,14 @@ impl Writer {
         for block in &mut header.blocks {
             block.section.offset += body.len() as u64;
         }
+        body.extend(records);
+        let edits = header.levels.iter_mut().filter_map(|level| level.edits.as_mut());
+        for block in edits.flat_map(|edits| &mut edits.blocks) {
+            block.section.offset += body.len() as u64;
+        }
+        body.append(&mut self.edited.body);
         let mut file = header.to_bytes()?;
         file.append(&mut body);
-        file.extend_from_slice(&records);
         Ok(file)
     }
 

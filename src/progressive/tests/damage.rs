@@ -2,11 +2,16 @@
 
 use proptest::prelude::*;
 
-use super::reference::{Extras, Rng, grid, sequence};
+use super::{
+    edits::random_edits,
+    reference::{Extras, Rng, grid, sequence},
+};
 use crate::progressive::{
-    ProgressiveError, ReadLimits, Reader, Writer, decode_collapse, header::Header, section::Streams,
+    Block, ProgressiveError, ReadLimits, Reader, Writer, decode_collapse, decode_edit,
+    header::Header, section::Streams,
 };
 
+/// A chain of collapses whose first and last meshes are levels with edits.
 fn file(seed: u64) -> Vec<u8> {
     let mut rng = Rng(seed);
     let extras = Extras {
@@ -15,13 +20,26 @@ fn file(seed: u64) -> Vec<u8> {
         ugly: seed.is_multiple_of(5),
     };
     let mesh = grid(5, extras, &mut rng);
-    let (_, records) = sequence(&mesh, 40, &mut rng);
+    let (levels, records) = sequence(&mesh, 40, &mut rng);
     let mut writer = Writer::new(&mesh).unwrap();
+    writer.mark_level("first");
     for record in &records {
         writer.push(record).unwrap();
     }
-    writer.mark_level("last", true);
+    writer.mark_level("last");
+    for (name, level) in [("last", levels.last().unwrap()), ("first", &mesh)] {
+        writer.begin_edits(name, level).unwrap();
+        for record in random_edits(level, 30, &mut rng).1 {
+            writer.push_edit(record.edit()).unwrap();
+        }
+    }
     writer.finish().unwrap()
+}
+
+/// All blocks of a file, as they lie in it: those of the level marked last were recorded first.
+fn blocks(header: &mut Header) -> Vec<&mut Block> {
+    let edits = header.levels.iter_mut().rev().filter_map(|level| level.edits.as_mut());
+    header.blocks.iter_mut().chain(edits.flat_map(|edits| &mut edits.blocks)).collect()
 }
 
 /// Reads all there is.
@@ -32,18 +50,24 @@ fn read_all(bytes: &[u8]) -> Result<usize, ProgressiveError> {
     while splits.split()?.is_some() {}
     let mut collapses = reader.fine_to_coarse()?;
     while collapses.collapse()?.is_some() {}
+    for level in &reader.header().levels {
+        let _ = reader.extract_level(&level.name)?;
+        let mut edits = reader.edits_backward(&level.name)?;
+        while edits.undo()?.is_some() {}
+    }
     Ok(collapses.to_mesh().faces.len())
 }
 
 /// The file with one stream of one section changed and every checksum right.
 fn forge(bytes: &[u8], part: usize, stream: usize, edit: impl Fn(&mut Vec<u8>)) -> Vec<u8> {
     let (mut header, body) = Header::parse(bytes, &ReadLimits::default()).unwrap();
-    let n = header.blocks.len() + 1;
+    let old: Vec<_> = std::iter::once(header.base)
+        .chain(blocks(&mut header).into_iter().map(|block| block.section))
+        .collect();
+    let n = old.len();
     let mut new_body = Vec::new();
     let mut sections = Vec::new();
-    for (i, section) in
-        std::iter::once(&header.base).chain(header.blocks.iter().map(|b| &b.section)).enumerate()
-    {
+    for (i, section) in old.iter().enumerate() {
         let mut streams = Streams::unpack(section, body, "x").unwrap();
         if i == part % n {
             edit(match stream % 3 {
@@ -55,7 +79,7 @@ fn forge(bytes: &[u8], part: usize, stream: usize, edit: impl Fn(&mut Vec<u8>)) 
         sections.push(streams.pack(&mut new_body).unwrap());
     }
     header.base = sections[0];
-    for (block, section) in header.blocks.iter_mut().zip(&sections[1..]) {
+    for (block, section) in blocks(&mut header).into_iter().zip(&sections[1..]) {
         block.section = *section;
     }
     let mut file = header.to_bytes().unwrap();
@@ -110,10 +134,13 @@ proptest! {
     #[test]
     fn any_bytes_are_no_record_or_one(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
         let _ = decode_collapse(&bytes);
+        if let Ok((_, n_bytes)) = decode_edit(&bytes) {
+            prop_assert!(n_bytes <= bytes.len());
+        }
     }
 
     #[test]
-    fn forged_headers_never_panic(seed in 0..6_u64, field in 0..9, value in any::<u32>()) {
+    fn forged_headers_never_panic(seed in 0..6_u64, field in 0..14_usize, value in any::<u32>()) {
         let bytes = file(seed);
         let (mut header, body) = Header::parse(&bytes, &ReadLimits::default()).unwrap();
         let value = value >> (value % 29);
@@ -126,7 +153,18 @@ proptest! {
             5 => header.n_base_vertices = value,
             6 => header.n_base_wedges = value,
             7 => header.base.raw[value as usize % 3] = value,
-            _ => header.has_face_materials ^= true,
+            8 => header.has_face_materials ^= true,
+            9 => header.levels[0].record = value,
+            _ => {
+                let edits = header.levels[0].edits.as_mut().unwrap();
+                let block = &mut edits.blocks[0];
+                match field {
+                    10 => edits.n_edits = value,
+                    11 => edits.faces = value,
+                    12 => (edits.n_edits, block.n_records) = (value, value),
+                    _ => block.section.raw[value as usize % 3] = value,
+                }
+            }
         }
         let forged = [header.to_bytes().unwrap(), body.to_vec()].concat();
         let limits = ReadLimits {
@@ -136,6 +174,7 @@ proptest! {
         if let Ok(reader) = Reader::open_with(&forged, limits) {
             let _ = reader.extract(u32::MAX);
             let _ = reader.fine_to_coarse();
+            let _ = ["first", "last"].map(|name| reader.extract_level(name));
         }
     }
 }
@@ -149,18 +188,27 @@ fn errors_say_what_is_wrong() {
     assert!(error(b"glTF").starts_with("not a progressive mesh"));
     let mut later = good.clone();
     later[8] = 9;
-    assert!(error(&later).starts_with("version 9 of the format; this build reads version 1"));
+    assert!(error(&later).starts_with("version 9 of the format; this build reads version 2"));
     assert!(error(&good[..20]).starts_with("header: "));
     assert!(error(&good[..good.len() - 1]).contains("fetch the file again"));
     let mut flipped = good.clone();
     *flipped.last_mut().unwrap() ^= 1;
-    assert_eq!(error(&flipped), "block 0: the checksum does not agree; fetch the file again");
+    assert_eq!(
+        error(&flipped),
+        "block 0 of the edits of 'first': the checksum does not agree; fetch the file again"
+    );
     let limits = ReadLimits { max_faces: 10, ..ReadLimits::default() };
     let error = Reader::open_with(&good, limits).unwrap_err().to_string();
     assert_eq!(error, "53 triangles are over the limit of 10; raise the limit to read the file");
     let limits = ReadLimits { max_corner_visits: 10, ..ReadLimits::default() };
     let error = Reader::open_with(&good, limits).unwrap().extract(99).unwrap_err().to_string();
     assert!(error.contains("corner visits"), "{error}");
+    let limits = ReadLimits { max_edits: 10, ..ReadLimits::default() };
+    let error = Reader::open_with(&good, limits).unwrap_err().to_string();
+    assert!(error.contains("edits of a level are over the limit of 10"), "{error}");
+    let limits = ReadLimits { max_faces: 53, ..ReadLimits::default() };
+    let error = Reader::open_with(&good, limits).unwrap().extract_level("first").unwrap_err();
+    assert!(error.to_string().contains("triangles are over the limit of 53"), "{error}");
 }
 
 /// A coarse level does not look at later bytes.
@@ -168,8 +216,9 @@ fn errors_say_what_is_wrong() {
 fn a_prefix_serves_the_coarse_levels() {
     let good = file(1);
     let (header, _) = Header::parse(&good, &ReadLimits::default()).unwrap();
-    let n_records: u64 = header.blocks.iter().map(|b| b.section.n_packed()).sum();
-    let prefix = &good[..good.len() - n_records as usize];
+    let mut all = header.clone();
+    let n_after: u64 = blocks(&mut all).iter().map(|b| b.section.n_packed()).sum();
+    let prefix = &good[..good.len() - n_after as usize];
     let reader = Reader::open(prefix).unwrap();
     let splits = reader.coarse_to_fine().unwrap();
     assert_eq!(splits.to_mesh().faces.len(), header.n_base_faces as usize);

@@ -12,17 +12,17 @@ fn file_of(mesh: &Mesh, records: &[Collapse]) -> Vec<u8> {
     let mut writer = Writer::new(mesh).unwrap();
     for (i, record) in records.iter().enumerate() {
         if i == records.len() / 2 {
-            writer.mark_level("half", false);
+            writer.mark_level("half");
         }
         writer.push(record).unwrap();
     }
-    writer.mark_level("last", true);
+    writer.mark_level("last");
     writer.finish().unwrap()
 }
 
 /// Equality that tells −0 from 0.
 #[track_caller]
-fn assert_same(found: &Mesh, expected: &Mesh) {
+pub(super) fn assert_same(found: &Mesh, expected: &Mesh) {
     assert_eq!(found, expected);
     let bits = |m: &Mesh| -> Vec<u64> {
         let values = m.layers.iter().flat_map(|l| &l.values).map(|v| u64::from(v.to_bits()));
@@ -32,7 +32,7 @@ fn assert_same(found: &Mesh, expected: &Mesh) {
     assert_eq!(bits(found), bits(expected));
 }
 
-fn extras() -> impl Strategy<Value = Extras> {
+pub(super) fn extras() -> impl Strategy<Value = Extras> {
     any::<[bool; 3]>().prop_map(|[layers, materials, ugly]| Extras { layers, materials, ugly })
 }
 
