@@ -2,7 +2,7 @@
 
 use lookalike::{
     io::{Limits, read},
-    jobs::spec::{Method, Spec},
+    jobs::spec::{Method, Optimize, Spec},
     worker::pipeline::{Inputs, PipelineError},
 };
 
@@ -104,7 +104,10 @@ fn cancelling_stops_the_job_at_once() {
 #[test]
 fn a_non_manifold_soup_is_simplified_as_far_as_its_topology_allows() {
     let Some(house) = real_model("house_scene.glb") else { return };
-    let done = job(&Spec::new(vec![5000, 1000]), "house_scene.glb", &house, "cpu");
+    // What optimization makes of such a soup is worth a look, but not a minute.
+    let optimize = Optimize { max_evaluations: Some(2000), ..Optimize::default() };
+    let spec = Spec { optimize, ..Spec::new(vec![5000, 1000]) };
+    let done = job(&spec, "house_scene.glb", &house, "cpu");
     assert!(done.result.is_ok(), "{:?}", done.result);
     for level in done.report()["levels"].as_array().unwrap() {
         let (asked, got) = (level["asked"].as_u64().unwrap(), level["triangles"].as_u64().unwrap());

@@ -33,7 +33,7 @@ fn check(done: &Done, levels: usize) {
         assert_eq!(told["d2_unseen_percent"].as_array().unwrap().len(), 2);
         let name = format!("lod-{level}");
         let file = &done.files[&format!("{name}.glb")];
-        assert_eq!(&write_glb(&reader.extract_level(&name).unwrap()).unwrap(), file);
+        assert!(&write_glb(&reader.extract_level(&name).unwrap()).unwrap() == file, "{name}");
 
         let before = reader.extract_level_before_edits(&name).unwrap();
         let mut mesh = EditMesh::new(before).unwrap();
@@ -46,7 +46,7 @@ fn check(done: &Done, levels: usize) {
             n_edits += 1;
         }
         mesh.validate().unwrap();
-        assert_eq!(&write_glb(&mesh.snapshot()).unwrap(), file, "the stream of {name}");
+        assert!(&write_glb(&mesh.snapshot()).unwrap() == file, "the stream of {name}");
         assert_eq!(told["edits"].as_u64(), Some(n_edits));
     }
 }
