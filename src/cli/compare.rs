@@ -18,6 +18,7 @@ use super::{
 
 /// Flags of `lookalike compare`.
 #[derive(Args, Debug)]
+#[expect(clippy::struct_excessive_bools, reason = "independent flags of a command")]
 pub(crate) struct CompareArgs {
     /// The original: .glb, .gltf, .ply, .obj or .stl.
     original: PathBuf,

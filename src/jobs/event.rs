@@ -99,6 +99,9 @@ pub struct EnergySample {
     /// d2 over views that the job does not work with, percent of full scale; now and then.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub d2_unseen: Option<f64>,
+    /// Where view sets take turns, the turn it was taken in: the energy may rise from one to the next.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub turn: Option<u32>,
 }
 
 /// What a kind of move has done in an optimization so far.

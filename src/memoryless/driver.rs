@@ -298,6 +298,7 @@ impl Reporter {
             triangles: faces as u32,
             energy: None,
             d2: None,
+            turn: 0,
         }))
     }
 }

@@ -41,6 +41,9 @@ pub struct Sample {
     pub energy: Option<u64>,
     /// Root of the mean squared luminance difference in percent of full scale (the papers' d2).
     pub d2: Option<f64>,
+    /// Where view sets take turns, which turn it was taken in; else 0. The energy falls within a
+    /// turn; from one to another it may rise, since other views were looked at in between.
+    pub turn: u32,
 }
 
 /// What a kind of move has done in a stage so far.

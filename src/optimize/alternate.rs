@@ -6,7 +6,8 @@
 //!    does the last; the n turns between show others, different ones each time;
 //! 2. samples come from the turns of 1 alone, with the evaluations of all turns.
 //!
-//! A sample may lie above one of an earlier turn: what other turns do is judged by other views.
+//! A sample may lie above one of an earlier turn: what other turns do is judged by other views. Samples
+//! name their turn.
 
 use std::ops::ControlFlow;
 
@@ -63,7 +64,7 @@ pub fn alternate<E: From<OptimizeError>>(
             Some(known) => Optimizer::resume(mesh, &mut objective, of_turn, known),
             None => Optimizer::new(mesh, &mut objective, of_turn),
         };
-        let outcome = optimizer.run(&mut |step| tell(step, counts, spent, on))?;
+        let outcome = optimizer.run(&mut |step| tell(step, (turn, counts), spent, on))?;
         memory = Some(optimizer.into_memory());
         let is_over = matches!(outcome.stopped_by, StoppedBy::Energy | StoppedBy::Caller);
         let all = join(total.take(), outcome, counts);
@@ -83,7 +84,7 @@ fn until(ratio: f64, before: Option<&Outcome>, now: &Objective) -> f64 {
 /// Passes a step on: edits always, samples of even turns with the evaluations of those before.
 fn tell(
     step: Step<'_>,
-    counts: bool,
+    (turn, counts): (u64, bool),
     spent: u64,
     on: &mut dyn FnMut(Step<'_>) -> ControlFlow<()>,
 ) -> ControlFlow<()> {
@@ -91,6 +92,7 @@ fn tell(
         Step::Sample(_) | Step::Moves(_) if !counts => ControlFlow::Continue(()),
         Step::Sample(mut sample) => {
             sample.evaluations += spent;
+            sample.turn = turn as u32;
             on(Step::Sample(sample))
         }
         Step::Progress { done, total } => {

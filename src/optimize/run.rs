@@ -5,12 +5,14 @@
 //! 2. every edit that stays is told to the caller, in order, and none that was taken back;
 //! 3. after the caller broke off, no edit is made.
 
-use std::ops::ControlFlow;
+use std::{collections::BTreeMap, ops::ControlFlow};
 
 use glam::DVec3;
 
 use crate::{
-    mesh::{Collapse, EditMesh, EditRecord, FaceId, Sample, Semantic, Split, Stage, Step},
+    mesh::{
+        Collapse, EditMesh, EditRecord, FaceId, Sample, Semantic, Split, Stage, Step, VertexId,
+    },
     metric::Objective,
     render::{Move, RenderError},
 };
@@ -45,6 +47,8 @@ pub struct Memory {
     pub collapses: Prices,
     /// What splits would cost (less than nothing, as a rule).
     pub splits: Prices,
+    /// Edges whose swap was searched in vain, and when.
+    pub searched_swaps: BTreeMap<[VertexId; 2], u64>,
     /// Edits so far: the age of everything that was found out.
     pub now: u64,
     /// When each triangle last changed.
@@ -70,6 +74,7 @@ impl Memory {
             statistics: Statistics::default(),
             collapses: Prices::new(mesh, 0),
             splits: Prices::new(mesh, i64::MIN / 4),
+            searched_swaps: BTreeMap::new(),
             now: 1,
             changed_at: vec![0; mesh.n_face_slots()],
             claims: vec![0; mesh.n_face_slots()],
@@ -336,6 +341,7 @@ impl Run<'_> {
             triangles: self.mesh.n_faces() as u32,
             energy: Some(self.objective.energy()),
             d2: Some(self.objective.d2_percent()),
+            turn: 0,
         };
         let counts = self.memory.statistics.counts(self.memory.n_uphill);
         let is_broken = (self.on)(Step::Sample(sample)).is_break()

@@ -18,7 +18,7 @@ const SWAP: Operation = Operation { kind: Kind::Swap, level: 0 };
 
 const SEARCHED_SWAP: Operation = Operation { kind: Kind::Swap, level: 2 };
 /// Swaps of a sweep that are tried again with free vertices.
-const N_SEARCHED_SWAPS: usize = 32;
+const N_SEARCHED_SWAPS: usize = 128;
 
 /// Growth of a vertex's step when it moved, and its shrinkage when it did not.
 const GROW: f64 = 1.1;
@@ -118,8 +118,13 @@ pub fn swaps(run: &mut Run<'_>) -> Result<i64, RenderError> {
         run.memory.statistics.count(SWAP, reduction, 1);
         sum += reduction;
     }
-    all.truncate(N_SEARCHED_SWAPS);
-    let edges: Vec<_> = all.into_iter().map(|p| p.edge).collect();
+    // What was searched in vain comes up again when its surroundings have changed.
+    let is_due = |p: &Proposal| {
+        let since = run.memory.searched_swaps.get(&p.edge).copied();
+        since.is_none_or(|since| !run.is_unchanged(p.trial.template.touched(), since))
+    };
+    let edges: Vec<_> =
+        all.iter().filter(|p| is_due(p)).map(|p| p.edge).take(N_SEARCHED_SWAPS).collect();
     Ok(sum + searched_swaps(run, &edges)?)
 }
 
@@ -134,6 +139,7 @@ fn searched_swaps(run: &mut Run<'_>, edges: &[[VertexId; 2]]) -> Result<i64, Ren
     trial::run(run.objective, wave.iter_mut().map(|p| &mut p.trial))?;
     let mut sum = 0;
     for proposal in &wave {
+        run.memory.searched_swaps.insert(proposal.edge, run.memory.now);
         let [a, b] = proposal.edge;
         let is_legal = run.mesh.plan_swap(a, b).is_some();
         let reduction = if is_legal { run.accept(proposal)? } else { 0 };

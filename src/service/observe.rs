@@ -139,6 +139,7 @@ mod tests {
             level: None,
             energy_ratio: None,
             d2_unseen: None,
+            turn: None,
         })
     }
 

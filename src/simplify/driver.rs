@@ -333,6 +333,7 @@ impl<'a> Simplifier<'a> {
             triangles: self.mesh.n_faces() as u32,
             energy: Some(self.objective.energy()),
             d2: Some(self.objective.d2_percent()),
+            turn: 0,
         }
     }
 }

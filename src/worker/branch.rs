@@ -31,7 +31,7 @@ pub struct Branch<'a> {
     deadline: Option<Instant>,
     is_out_of_time: bool,
     first_energy: Option<u64>,
-    energy_ratio: f64,
+    ratio: f64,
     evaluations: u64,
     /// Evaluations of the stage before this level.
     evaluations_before: u64,
@@ -61,7 +61,7 @@ impl<'a> Branch<'a> {
             deadline: budget.secs.and_then(|secs| after(start, secs)),
             is_out_of_time: false,
             first_energy: None,
-            energy_ratio: 1.0,
+            ratio: 1.0,
             evaluations: 0,
             evaluations_before,
             span,
@@ -94,9 +94,9 @@ impl<'a> Branch<'a> {
     pub(super) fn complete(&mut self, sample: &mut EnergySample) {
         self.reached(sample.evaluations);
         if let Some(energy) = sample.energy {
-            let first = *self.first_energy.get_or_insert(energy);
-            self.energy_ratio = if first == 0 { 1.0 } else { energy as f64 / first as f64 };
-            sample.energy_ratio = Some(self.energy_ratio);
+            self.first_energy.get_or_insert(energy);
+            sample.energy_ratio = self.energy_ratio(energy);
+            self.ratio = sample.energy_ratio.unwrap_or(1.0);
         }
         if sample.evaluations >= self.next_look {
             let first = FIRST_LOOK * self.mesh.faces.len() as u64;
@@ -105,6 +105,12 @@ impl<'a> Branch<'a> {
         }
         sample.level = Some(self.level);
         sample.evaluations += self.evaluations_before;
+    }
+
+    /// An energy as a share of the one at the start.
+    pub(super) fn energy_ratio(&self, energy: u64) -> Option<f64> {
+        let first = self.first_energy?;
+        Some(if first == 0 { 1.0 } else { energy as f64 / first as f64 })
     }
 
     /// d2 of the mesh as it is now, on unseen views.
@@ -118,7 +124,7 @@ impl<'a> Branch<'a> {
     pub(super) fn done(&self, now: Instant) -> f64 {
         let by_evaluations = self.budget.evaluations.map(|n| self.evaluations as f64 / n as f64);
         let by_secs = self.budget.secs.map(|s| now.duration_since(self.start).as_secs_f64() / s);
-        let by_energy = self.budget.until.map(|u| self.energy_ratio.ln() / u.ln());
+        let by_energy = self.budget.until.map(|u| self.ratio.ln() / u.ln());
         let nearest = [by_evaluations, by_secs, by_energy].into_iter().flatten();
         let done = nearest.filter(|d| d.is_finite()).fold(0.0, f64::max).min(1.0);
         self.span.0 + done * (self.span.1 - self.span.0)

@@ -64,7 +64,7 @@ impl Spec {
     /// of optimization, gets geometry alone.
     pub(super) fn optimizes(&self) -> bool {
         let is_plain = self.method == Method::Memoryless && self.simplified.is_none();
-        !self.optimize.is_off() && !(is_plain && self.optimize.is_automatic())
+        !(self.optimize.is_off() || is_plain && self.optimize.is_automatic())
     }
 }
 

@@ -3,8 +3,8 @@
 use std::time::Instant;
 
 use crate::{
-    mesh::Stage,
-    optimize::{Optimizer, Outcome},
+    mesh::{EditMesh, Stage, Step},
+    optimize::{Optimizer, Outcome, alternate},
 };
 
 use super::{
@@ -62,29 +62,48 @@ fn optimize<'j>(
     let begun = (level.mesh.clone(), editable(&level.mesh)?);
     let branch =
         Branch::new(level.index as u32, begun, critic, budget, (figures.evaluations, span));
-    let mut objective = job.studio().objective(&mesh, recorder)?;
-    figures.start(&objective.evaluator_name());
+    // The first objective of a job chooses the device.
+    figures.start(&job.studio().objective(&mesh, recorder)?.evaluator_name());
     recorder.begin_branch(&level.name(), branch)?;
-    let params = params::optimization(job.spec, &budget);
-    let outcome =
-        Optimizer::new(&mut mesh, &mut objective, params).run(&mut |step| recorder.step(&step))?;
-    let is_late = recorder.is_out_of_time();
-    if !is_late {
+    let outcome = optimize_mesh(job, &mut mesh, &budget, recorder)?;
+    if !recorder.is_out_of_time() {
         recorder.check()?;
     }
-    let (branch, edits) = recorder.end_branch()?;
+    let objective = job.studio().turned(0, &mesh)?;
+    let (energy, d2) = (objective.energy(), objective.d2_percent());
+    let (branch, edits) = recorder.end_branch(energy, d2)?;
     figures.evaluations += outcome.evaluations;
     figures.edits += u64::from(edits);
     level.mesh = mesh.snapshot();
-    level.energy = Some(objective.energy());
-    level.d2 = Some(objective.d2_percent());
+    level.energy = Some(energy);
+    level.d2 = Some(d2);
     level.optimized = Some(Optimized {
         seconds: start.elapsed().as_secs_f64(),
         edits,
         d2_unseen_percent: branch.and_then(|b| b.d2_unseen),
-        ..optimized(&outcome)
+        ..optimized(&Outcome { energy_after: energy, ..outcome })
     });
     Ok(())
+}
+
+/// With the run-time views and others in turn, so that the mesh fits the model and not twenty pictures
+/// of it; with the run-time views alone where there is no number of evaluations to share out.
+fn optimize_mesh(
+    job: &mut Job<'_>,
+    mesh: &mut EditMesh,
+    budget: &Budget,
+    recorder: &mut Recorder<'_>,
+) -> Result<Outcome, PipelineError> {
+    let params = params::optimization(job.spec, budget);
+    let studio = job.studio();
+    let mut on = |step: Step<'_>| recorder.step(&step);
+    if params.max_evaluations > 0 {
+        let turns = params::turns(mesh.n_faces());
+        let mut show = |turn, mesh: &EditMesh| Ok(studio.turned(turn, mesh)?);
+        return alternate(mesh, &params, turns, &mut show, &mut on);
+    }
+    let mut objective = studio.turned(0, mesh)?;
+    Ok(Optimizer::new(mesh, &mut objective, params).run(&mut on)?)
 }
 
 fn optimized(outcome: &Outcome) -> Optimized {

@@ -70,6 +70,12 @@ pub fn optimization(spec: &Spec, budget: &Budget) -> optimize::Params {
     }
 }
 
+/// How view sets take turns in the optimization of so many triangles.
+pub fn turns(n_faces: usize) -> optimize::Turns {
+    let n = n_faces as u64;
+    optimize::Turns { evaluations: 20 * n, n_others: 3, last_evaluations: 60 * n }
+}
+
 /// Cameras and drawing.
 pub fn pictures(spec: &Spec, original: &Mesh) -> Pictures {
     let r = &spec.render;

@@ -190,8 +190,10 @@ impl<'a> Recorder<'a> {
             level: None,
             energy_ratio: None,
             d2_unseen: None,
+            turn: None,
         };
         if let Some(branch) = &mut self.branch {
+            told.turn = Some(sample.turn);
             branch.complete(&mut told);
         }
         self.samples.push(told.clone());
@@ -244,15 +246,21 @@ impl<'a> Recorder<'a> {
     }
 
     /// The optimization of a level is over: a last sample says what the unseen views make of it.
-    /// Returns the branch and the number of its edits.
-    pub fn end_branch(&mut self) -> Result<(Option<Branch<'a>>, u32), PipelineError> {
+    /// It ended with this energy and d2. Returns the branch and the number of its edits.
+    pub fn end_branch(
+        &mut self,
+        energy: u64,
+        d2: f64,
+    ) -> Result<(Option<Branch<'a>>, u32), PipelineError> {
         let _ = self.stream_records();
         self.writer.end_edits()?;
         let n_records = u64::from(self.n_records());
         let edits = std::mem::replace(&mut self.n_streamed, n_records);
         let mut branch = self.branch.take();
         if let (Some(branch), Some(last)) = (&mut branch, self.samples.last().cloned()) {
-            let told = EnergySample { d2_unseen: Some(branch.judge()), ..last };
+            let mut told = EnergySample { energy: Some(energy), d2: Some(d2), ..last };
+            told.energy_ratio = branch.energy_ratio(energy);
+            told.d2_unseen = Some(branch.judge());
             self.samples.push(told.clone());
             self.tell(Report::Sample(told))?;
         }

@@ -215,17 +215,18 @@ fn write_pictures(
 
 fn energy_csv(samples: &[EnergySample]) -> String {
     let mut csv = String::from(
-        "seq,stage,evaluations,seconds,triangles,energy,d2,level,energy_ratio,d2_unseen\n",
+        "seq,stage,evaluations,seconds,triangles,energy,d2,level,energy_ratio,d2_unseen,turn\n",
     );
     let number = |x: Option<f64>| x.map_or_else(String::new, |x| format!("{x:.6}"));
     for (seq, s) in samples.iter().enumerate() {
         let energy = s.energy.map_or_else(String::new, |e| e.to_string());
-        let level = s.level.map_or_else(String::new, |l| l.to_string());
+        let [level, turn] =
+            [s.level, s.turn].map(|n| n.map_or_else(String::new, |n| n.to_string()));
         let [d2, ratio, unseen] = [s.d2, s.energy_ratio, s.d2_unseen].map(number);
         // Writing to a String cannot fail.
         let _ = writeln!(
             csv,
-            "{seq},{},{},{:.3},{},{energy},{d2},{level},{ratio},{unseen}",
+            "{seq},{},{},{:.3},{},{energy},{d2},{level},{ratio},{unseen},{turn}",
             s.stage, s.evaluations, s.seconds, s.triangles
         );
     }

@@ -9,7 +9,7 @@ use crate::{
         Objective, Pictures, bounding_sphere, reference_pictures, scene_of_edit_mesh,
         scene_with_normals,
     },
-    render::{Reference, choose},
+    render::{Reference, RenderError, choose},
 };
 
 use super::{
@@ -60,36 +60,32 @@ impl<'m> Studio<'m> {
         mesh: &EditMesh,
         recorder: &mut Recorder<'_>,
     ) -> Result<Objective, PipelineError> {
+        if self.has_chosen {
+            return Ok(self.turned(0, mesh)?);
+        }
         let scene = self.scene(mesh, &self.pictures);
         let choice = choose(&self.device, &scene, self.reference.clone())?;
         let name = choice.evaluator.name();
-        if !self.has_chosen {
-            for (name, evaluations_per_sec) in &choice.figures {
-                let text = format!("{name}: {evaluations_per_sec:.0} evaluations/s");
-                recorder.note("DEVICE_MEASURED", &text)?;
-            }
-            for note in &choice.notes {
-                recorder.note("DEVICE_NOTE", note)?;
-            }
-            recorder.note("DEVICE_CHOSEN", &name)?;
-            self.has_chosen = true;
-            self.device = if name == TWIN.1 { TWIN.0.into() } else { name };
+        for (name, evaluations_per_sec) in &choice.figures {
+            let text = format!("{name}: {evaluations_per_sec:.0} evaluations/s");
+            recorder.note("DEVICE_MEASURED", &text)?;
         }
+        for note in &choice.notes {
+            recorder.note("DEVICE_NOTE", note)?;
+        }
+        recorder.note("DEVICE_CHOSEN", &name)?;
+        self.has_chosen = true;
+        self.device = if name == TWIN.1 { TWIN.0.into() } else { name };
         Ok(self.finish(Objective::new(mesh, scene, choice.evaluator), self.reference.clone()))
     }
 
     /// The same with all cameras turned: the `turn`-th of a fixed sequence, 0 being none at all.
-    pub fn turned(
-        &mut self,
-        turn: u64,
-        mesh: &EditMesh,
-        recorder: &mut Recorder<'_>,
-    ) -> Result<Objective, PipelineError> {
-        if turn == 0 {
-            return self.objective(mesh, recorder);
-        }
+    pub fn turned(&self, turn: u64, mesh: &EditMesh) -> Result<Objective, RenderError> {
         let pictures = self.pictures.turned(self.center, turn);
-        let reference = reference_pictures(self.original, &pictures);
+        let reference = match turn {
+            0 => self.reference.clone(),
+            _ => reference_pictures(self.original, &pictures),
+        };
         let scene = self.scene(mesh, &pictures);
         let choice = choose(&self.device, &scene, reference.clone())?;
         Ok(self.finish(Objective::new(mesh, scene, choice.evaluator), reference))

@@ -67,6 +67,7 @@ pub fn report_to_wire(report: Report) -> worker::worker_event::Body {
             level: sample.level,
             energy_ratio: sample.energy_ratio,
             d2_unseen: sample.d2_unseen,
+            turn: sample.turn,
         }),
         Report::Moves { level, moves } => Wire::MoveStatistics(v1::MoveStatistics {
             level,
@@ -102,6 +103,7 @@ pub fn report_from_wire(body: worker::worker_event::Body) -> Report {
             level: body.level,
             energy_ratio: body.energy_ratio.filter(present),
             d2_unseen: body.d2_unseen.filter(present),
+            turn: body.turn,
         }),
         Wire::MoveStatistics(body) => Report::Moves {
             level: body.level,
@@ -174,6 +176,7 @@ mod tests {
             level: Some(1),
             energy_ratio: Some(0.5),
             d2_unseen: None,
+            turn: Some(4),
         }
     }
 

@@ -34,6 +34,8 @@ class Sample:
     energy_ratio: float | None = None
     #: d2 over views that the job does not work with; now and then.
     d2_unseen: float | None = None
+    #: The turn of the view sets it was taken in: the energy may rise from one turn to the next.
+    turn: int | None = None
 
 
 def sample(event: event_pb2.JobEvent) -> Sample:
@@ -50,6 +52,7 @@ def sample(event: event_pb2.JobEvent) -> Sample:
         level=s.level if s.HasField("level") else None,
         energy_ratio=s.energy_ratio if s.HasField("energy_ratio") else None,
         d2_unseen=s.d2_unseen if s.HasField("d2_unseen") else None,
+        turn=s.turn if s.HasField("turn") else None,
     )
 
 
