@@ -85,7 +85,7 @@ fn extract(
     }
     let (mesh, level) = reader.extract_nearest(target)?;
     let what = level.map_or(chain, |level| {
-        format!("{} (--plain: without)", optimized(&level.name, level.n_edits()))
+        format!("{} (--plain gives it without them)", optimized(&level.name, level.n_edits()))
     });
     Ok(Some((mesh, what)))
 }

@@ -39,6 +39,9 @@
 //!   first new    varint
 //!   new          varint number of values; each 4 bytes, little endian
 //! ```
+//!
+//! On an optimized mesh without wedges a displacement takes about 49 bytes, a swap 8, a split 38,
+//! a collapse 76; a revalue of normals 47.
 
 use smallvec::SmallVec;
 

@@ -31,6 +31,9 @@
 //!               that the new one replaces at its first corner (in a split: by that of a), or 0
 //! ```
 //!
+//! On an optimized mesh without wedges a displacement takes about 25 bytes before compression, a
+//! swap 4, a split 26, a collapse 28, all together 21 after it; a revalue of normals 28 before.
+//!
 //! Encoder and decoder are one walk over the record with two [`Coder`]s, so they cannot differ.
 
 use std::collections::BTreeMap;

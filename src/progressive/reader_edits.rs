@@ -20,6 +20,10 @@ impl Reader<'_> {
     /// # Errors
     /// [`ProgressiveError::UnknownLevel`] names those that are there.
     pub fn extract_level(&self, name: &str) -> Result<Mesh, ProgressiveError> {
+        let level = self.level(name)?;
+        if level.is_by_records_alone() {
+            return self.extract_record(level);
+        }
         let mut edits = self.edits_forward(name)?;
         while edits.apply()?.is_some() {}
         Ok(edits.to_mesh())

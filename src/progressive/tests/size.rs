@@ -1,5 +1,6 @@
 //! How many bytes a record takes, on a surface like a scan: points in single precision, ids that
-//! follow the surface, collapses of short edges to places in full double precision.
+//! follow the surface, collapses of short edges to places in full double precision. And edits of a
+//! level, which has double precision throughout.
 
 use std::collections::BTreeSet;
 
@@ -9,10 +10,10 @@ use smallvec::SmallVec;
 use super::reference::Rng;
 use crate::{
     mesh::{
-        AttributeLayer, Collapse, Corner, FaceId, Mesh, RemovedFace, Rewedged, Semantic, VertexId,
-        WedgeId,
+        AttributeLayer, Collapse, Corner, EditMesh, EditRecord, FaceId, Legality, Mesh,
+        RemovedFace, Rewedged, Semantic, VertexId, WedgeId, shapes,
     },
-    progressive::{Reader, Writer, encode_collapse, header::Header},
+    progressive::{Reader, Writer, encode_collapse, encode_edit, header::Header},
 };
 
 /// A bumpy torus of `n` × `n` squares, closed, with unit normals if asked.
@@ -152,4 +153,65 @@ fn records_are_compact() {
     let (file, stream) = measure(&torus(80, true), 1000);
     println!("normals too: {file:.1} bytes per record in the file, {stream:.1} on a stream");
     assert!(file < 60.0 && stream < 200.0, "{file} {stream}");
+}
+
+/// An edit as an optimizer makes it.
+type Make = fn(&mut EditMesh, [VertexId; 2], DVec3) -> Option<EditRecord>;
+
+/// Bytes per edit in the file and on a stream, for edits of random edges that end at places near
+/// their middles.
+fn measure_edits(mesh: &Mesh, n: usize, make: Make) -> (f64, f64) {
+    let mut rng = Rng(7);
+    let mut edited = EditMesh::new(mesh.clone()).unwrap();
+    let mut writer = Writer::new(mesh).unwrap();
+    writer.mark_level("a");
+    writer.begin_edits("a", mesh).unwrap();
+    let (mut around, mut stream, mut n_done) = (Vec::new(), Vec::new(), 0);
+    while n_done < n {
+        let a = VertexId(rng.below(mesh.positions.len()) as u32);
+        edited.neighbours(a, &mut around);
+        let Some(&b) = around.get(rng.below(around.len())) else { continue };
+        let [p, q] = [a, b].map(|v| edited.position(v));
+        let off = DVec3::new(rng.signed(), rng.signed(), rng.signed()) * p.distance(q) * 0.1;
+        let Some(record) = make(&mut edited, [a, b], p.midpoint(q) + off) else { continue };
+        writer.push_edit(record.edit()).unwrap();
+        encode_edit(record.edit(), &mut stream);
+        n_done += 1;
+    }
+    let file = writer.finish().unwrap();
+    let reader = Reader::open(&file).unwrap();
+    assert_eq!(reader.extract_level("a").unwrap(), edited.snapshot());
+    let blocks = &reader.level("a").unwrap().edits.as_ref().unwrap().blocks;
+    let n_packed: u64 = blocks.iter().map(|b| b.section.n_packed()).sum();
+    (n_packed as f64 / n as f64, stream.len() as f64 / n as f64)
+}
+
+#[test]
+fn edits_are_compact() {
+    let mesh = shapes::torus(60, 40, 0.1);
+    let kinds: [(&str, Make, [f64; 2]); 4] = [
+        (
+            "displacement",
+            |m, [a, b], at| {
+                let to = m.position(a) + (at - m.position(a).midpoint(m.position(b)));
+                Some(EditRecord::Displacement(m.displace(a, to)))
+            },
+            [24.0, 52.0],
+        ),
+        ("swap", |m, [a, b], _| m.swap(a, b).map(EditRecord::Swap), [6.0, 16.0]),
+        ("split", |m, [a, b], at| m.split(a, b, at).map(EditRecord::Split), [26.0, 44.0]),
+        (
+            "collapse",
+            |m, [a, b], at| {
+                let is_legal = m.legality(a, b) == Legality::Legal;
+                is_legal.then(|| EditRecord::Collapse(m.collapse(a, b, at)))
+            },
+            [28.0, 100.0],
+        ),
+    ];
+    for (kind, make, most) in kinds {
+        let (file, stream) = measure_edits(&mesh, 1_500, make);
+        println!("{kind}: {file:.1} bytes in the file, {stream:.1} on a stream");
+        assert!(file < most[0] && stream < most[1], "{kind}: {file} {stream}");
+    }
 }
