@@ -28,11 +28,7 @@ pub(super) fn base(spec: &Spec, original: &Mesh, simplified: Option<&Ingest>) ->
         }
         (None, Method::Cluster) => {
             let target = spec.triangles.first().copied().unwrap_or(0) as usize;
-            if target < original.faces.len() {
-                cluster::cluster(original, target)
-            } else {
-                original.clone()
-            }
+            cluster::cluster(original, target)
         }
         (None, Method::Image | Method::Memoryless) => original.clone(),
     }
