@@ -98,7 +98,7 @@ fn optimize_mesh(
     let studio = job.studio();
     let mut on = |step: Step<'_>| recorder.step(&step);
     if params.max_evaluations > 0 {
-        let turns = params::turns(mesh.n_faces());
+        let turns = params::turns(mesh.n_faces(), params.max_evaluations);
         let mut show = |turn, mesh: &EditMesh| Ok(studio.turned(turn, mesh)?);
         return alternate(mesh, &params, turns, &mut show, &mut on);
     }

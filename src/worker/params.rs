@@ -70,10 +70,15 @@ pub fn optimization(spec: &Spec, budget: &Budget) -> optimize::Params {
     }
 }
 
-/// How view sets take turns in the optimization of so many triangles.
-pub fn turns(n_faces: usize) -> optimize::Turns {
+/// How view sets take turns in the optimization of so many triangles with so many evaluations: turns
+/// of 20 evaluations a triangle, shorter only where the budget would hold too few of them.
+pub fn turns(n_faces: usize, max_evaluations: u64) -> optimize::Turns {
     let n = n_faces as u64;
-    optimize::Turns { evaluations: 20 * n, n_others: 3, last_evaluations: 60 * n }
+    optimize::Turns {
+        evaluations: (20 * n).min(max_evaluations / 6),
+        n_others: 3,
+        last_evaluations: (60 * n).min(max_evaluations / 3),
+    }
 }
 
 /// Cameras and drawing.

@@ -29,13 +29,14 @@ use tonic::transport::Channel;
 pub(crate) type Client = LookalikeServiceClient<Channel>;
 
 /// Flags of a job that takes a moment, and the same as a specification.
-pub(crate) const JOB: [&str; 6] = [
+pub(crate) const JOB: [&str; 7] = [
     "--triangles=500,200",
     "--views=12",
     "--image-size=128",
     "--effort=fast",
     "--seed=7",
     "--lambda=0.3",
+    "--optimize-evaluations=3000",
 ];
 
 pub(crate) fn job_spec() -> Spec {
@@ -45,6 +46,7 @@ pub(crate) fn job_spec() -> Spec {
     spec.effort = lookalike::jobs::spec::Effort::Fast;
     spec.seed = 7;
     spec.lambda = 0.3;
+    spec.optimize.max_evaluations = Some(3000);
     spec
 }
 

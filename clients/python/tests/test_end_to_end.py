@@ -15,7 +15,13 @@ from conftest import BINARY, DEVICE, ROOT, new_server
 from lookalike.v1 import job_pb2
 
 #: Small pictures: these tests are about the way there and back.
-QUICK = {"effort": "fast", "n_views": 4, "image_size": 64, "progress": False}
+QUICK = {
+    "effort": "fast",
+    "n_views": 4,
+    "image_size": 64,
+    "optimize_max_evaluations": 5000,
+    "progress": False,
+}
 #: The same for jobs without an effort.
 LOOKS = {"n_views": 4, "image_size": 64, "progress": False}
 #: Minutes of work, for jobs that are to be caught at it.
