@@ -4,15 +4,23 @@
 //! Invariants:
 //! 1. turn 0 and every (n + 1)-th one after it show the views that the run is judged by, and so
 //!    does the last; the n turns between show others, different ones each time;
-//! 2. samples come from the turns of 1 alone, with the evaluations of all turns.
+//! 2. samples come from the turns of 1 alone, with the evaluations of all turns;
+//! 3. between turns every vertex goes half of the way back, so that it rests where all views pull it
+//!    and not where the last ones did (Zhang et al. 2019, "Lookahead optimizer").
+//!
+//! Measured at 400 evaluations a triangle, unseen d2 after memoryless simplification to 1,336 triangles,
+//! as a share of its start: bunny .837 without turns, .814 with turns, .803 with half of the way back;
+//! armadillo .824 and .815 (the latter two).
 //!
 //! A sample may lie above one of an earlier turn: what other turns do is judged by other views. Samples
 //! name their turn.
 
 use std::ops::ControlFlow;
 
+use glam::DVec3;
+
 use crate::{
-    mesh::{EditMesh, Step},
+    mesh::{EditMesh, EditRecord, Step, VertexId},
     metric::Objective,
 };
 
@@ -60,6 +68,7 @@ pub fn alternate<E: From<OptimizeError>>(
             until: if counts { until } else { 0.0 },
             ..params.clone()
         };
+        let begun = Begun::of(mesh);
         let mut optimizer = match memory.take() {
             Some(known) => Optimizer::resume(mesh, &mut objective, of_turn, known),
             None => Optimizer::new(mesh, &mut objective, of_turn),
@@ -70,6 +79,9 @@ pub fn alternate<E: From<OptimizeError>>(
         let all = join(total.take(), outcome, counts);
         if is_last || is_over {
             return Ok(all);
+        }
+        if begun.go_back(mesh, on).is_break() {
+            return Ok(Outcome { stopped_by: StoppedBy::Caller, ..all });
         }
         total = Some(all);
         turn += 1;
@@ -111,5 +123,45 @@ fn join(before: Option<Outcome>, last: Outcome, counts: bool) -> Outcome {
         energy_before: before.energy_before,
         energy_after,
         ..last
+    }
+}
+
+/// Places and neighbours of the vertices when a turn begins.
+struct Begun(Vec<(DVec3, Vec<VertexId>)>);
+
+impl Begun {
+    fn of(mesh: &EditMesh) -> Self {
+        let mut ring = Vec::new();
+        let mut vertex = |v: u32| {
+            let v = VertexId(v);
+            ring.clear();
+            if mesh.is_used(v) {
+                mesh.neighbours(v, &mut ring);
+            }
+            (mesh.position(v), ring.clone())
+        };
+        Self((0..mesh.n_vertex_slots() as u32).map(&mut vertex).collect())
+    }
+
+    /// Moves every vertex half of the way back to where it was, unless its neighbours are others now.
+    fn go_back(
+        &self,
+        mesh: &mut EditMesh,
+        on: &mut dyn FnMut(Step<'_>) -> ControlFlow<()>,
+    ) -> ControlFlow<()> {
+        let mut ring = Vec::new();
+        for (v, (from, old_ring)) in self.0.iter().enumerate() {
+            let v = VertexId(v as u32);
+            let at = mesh.position(v);
+            if at == *from || old_ring.is_empty() || !mesh.is_used(v) {
+                continue;
+            }
+            mesh.neighbours(v, &mut ring);
+            if ring == *old_ring {
+                let record = EditRecord::Displacement(mesh.displace(v, at.midpoint(*from)));
+                on(Step::Edit(record.edit()))?;
+            }
+        }
+        ControlFlow::Continue(())
     }
 }

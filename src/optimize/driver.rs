@@ -77,8 +77,9 @@ impl<'a> Optimizer<'a> {
         mesh: &'a mut EditMesh,
         objective: &'a mut Objective,
         params: Params,
-        memory: Memory,
+        mut memory: Memory,
     ) -> Self {
+        memory.see_anew();
         Self { mesh, objective, params, memory, sources: Sources::default() }
     }
 

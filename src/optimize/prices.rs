@@ -76,6 +76,11 @@ impl Prices {
         }
     }
 
+    /// Makes all entries stale.
+    pub fn doubt(&mut self) {
+        self.entries.values_mut().for_each(|entry| entry.is_stale = true);
+    }
+
     /// The cheapest edges, cheapest first.
     pub fn cheapest(&self) -> impl Iterator<Item = (Ends, Entry)> + '_ {
         self.order.iter().filter_map(|(_, ends)| Some((*ends, *self.entries.get(ends)?)))

@@ -87,6 +87,16 @@ impl Memory {
     }
 }
 
+impl Memory {
+    /// Other pictures are looked at, or vertices were moved: what was found out is doubtful.
+    pub fn see_anew(&mut self) {
+        self.collapses.doubt();
+        self.splits.doubt();
+        self.steps.iter_mut().for_each(|step| *step = step.max(STIRRED));
+        self.searched_swaps.clear();
+    }
+}
+
 /// See the module.
 pub struct Run<'r> {
     /// The mesh being optimized.
