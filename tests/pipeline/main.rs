@@ -10,6 +10,8 @@
 mod agreement;
 mod bad_input;
 mod determinism;
+mod large;
+mod looks;
 mod quality;
 mod support;
 mod topology;

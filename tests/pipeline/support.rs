@@ -6,6 +6,7 @@ use lookalike::{
     compare::sample_mesh,
     io::write_glb,
     jobs::{event::Report, spec::Spec},
+    progressive::Reader,
     worker::pipeline::{DeviceChoice, PipelineError, run},
 };
 
@@ -66,6 +67,18 @@ pub fn job(spec: &Spec, name: &str, input: &[u8], device: &str) -> Done {
         files.insert(name, fs::read(path).unwrap());
     }
     Done { files, notes, records, result }
+}
+
+/// Every level comes out of the progressive file as it was written; the file, opened.
+pub fn check_levels(done: &Done) -> Reader<'_> {
+    let reader = Reader::open(&done.files["progressive.lkpm"]).unwrap();
+    for level in &reader.header().levels {
+        let mesh = reader.extract(level.faces).unwrap();
+        let wanted = &done.files[&format!("{}.glb", level.name)];
+        assert_eq!(&write_glb(&mesh).unwrap(), wanted, "{}", level.name);
+        mesh.check().unwrap();
+    }
+    reader
 }
 
 /// Records in a chunk of the stream.
