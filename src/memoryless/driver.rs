@@ -4,11 +4,16 @@
 //! out of date (the set U(v)), which is recorded as a time stamp on those vertices alone; an
 //! edge keeps its old key and is re-evaluated only when it comes up. Edges that may not be
 //! collapsed when they come up leave the queue and return when U(v) touches them.
+//!
+//! Time is near-linear in the triangles: what a step costs depends on the triangles at the ends of
+//! its edge, and hubs, which have very many, are left for later ([`MAX_VALENCE`]). The rest of its
+//! cost is waiting for memory, which [`Ahead`] shortens.
 
 use std::ops::ControlFlow;
 
 use glam::DVec3;
 
+use super::ahead::{Ahead, is_fresh};
 use super::gather::Fan;
 use super::params::Params;
 use super::placement::{Placement, Scratch, placement_between, turns_too_far};
@@ -21,6 +26,10 @@ const N_REPORTS: usize = 200;
 /// In flat regions every collapse costs nothing; this share of L⁶, far below the cost of any
 /// visible bend, sends short edges first, so that such regions thin out evenly.
 const FLAT_SHARE: f64 = 1e-12;
+
+/// A vertex of more triangles is a hub. Every collapse at it costs time in proportion to them, so its
+/// edges wait until collapses around it have left it fewer, or nothing else can be collapsed.
+const MAX_VALENCE: usize = 512;
 
 /// Why a run ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -88,9 +97,13 @@ struct Run<'a> {
     /// Collapses so far: the time.
     now: u32,
     vertices: Vec<VertexState>,
+    /// The sums over the triangles at each vertex.
+    fans: Vec<Fan>,
     /// When an edge was last evaluated; [`ASIDE`], [`DEAD`].
     evaluated_at: Vec<u32>,
     evaluations: u64,
+    /// Edges wait at vertices of more triangles.
+    max_valence: usize,
     scratch: Scratch,
 }
 
@@ -101,13 +114,11 @@ const DEAD: u32 = u32::MAX - 1;
 
 /// What a run remembers of a vertex.
 #[derive(Clone, Copy, Default)]
-struct VertexState {
-    /// The sums over its triangles.
-    fan: Fan,
+pub(super) struct VertexState {
     /// When one of its triangles last changed.
-    changed_at: u32,
-    /// Whether `fan` is as of then.
-    is_summed: bool,
+    pub(super) changed_at: u32,
+    /// Whether its sums are as of then.
+    pub(super) is_summed: bool,
     /// Whether one of its edges may be set aside.
     has_aside: bool,
 }
@@ -124,13 +135,23 @@ impl<'a> Run<'a> {
             queue: Queue::new(Vec::new()),
             now: 0,
             vertices: vec![VertexState::default(); n_vertices],
+            fans: vec![Fan::default(); n_vertices],
             evaluated_at: vec![0; n_edges],
             evaluations: 0,
+            max_valence: MAX_VALENCE,
             scratch: Scratch::default(),
         };
-        let entries = (0..n_edges as u32).map(|e| run.evaluate(EdgeId(e)).0);
+        let entries = (0..n_edges as u32).filter_map(|e| run.first_entry(EdgeId(e)));
         run.queue = Queue::new(entries.collect());
         run
+    }
+
+    fn first_entry(&mut self, edge: EdgeId) -> Option<Entry> {
+        if self.must_wait(edge) {
+            self.set_aside(edge);
+            return None;
+        }
+        Some(self.evaluate(edge).0)
     }
 
     fn collapse_until(
@@ -140,7 +161,12 @@ impl<'a> Run<'a> {
         on: &mut dyn FnMut(Step<'_>) -> ControlFlow<()>,
     ) -> StoppedBy {
         while self.mesh.n_faces() > target {
-            let Some((edge, to)) = self.next_candidate() else { return StoppedBy::NoLegalCollapse };
+            let Some((edge, to)) = self.next_candidate() else {
+                if self.admit_hubs() {
+                    continue;
+                }
+                return StoppedBy::NoLegalCollapse;
+            };
             if !self.may_collapse(edge, to) {
                 self.set_aside(edge);
                 continue;
@@ -160,25 +186,54 @@ impl<'a> Run<'a> {
         loop {
             let edge = self.queue.peek()?.edge();
             if self.evaluated_at[edge.index()] == DEAD {
-                self.queue.pop();
+                self.replace_top(None);
+                continue;
+            }
+            if self.must_wait(edge) {
+                self.replace_top(None);
+                self.set_aside(edge);
                 continue;
             }
             let was_fresh = self.is_fresh(edge);
             let (entry, found) = self.evaluate(edge);
             if !was_fresh {
-                self.queue.replace_top(entry);
+                self.replace_top(Some(entry));
                 if self.queue.peek() != Some(entry) {
                     continue;
                 }
             }
-            self.queue.pop();
+            self.replace_top(None);
             return Some((edge, found.to));
         }
     }
 
+    /// Exchanges the cheapest entry for another one, or takes it out.
+    fn replace_top(&mut self, entry: Option<Entry>) {
+        let Self { mesh, edges, evaluated_at, vertices, fans, queue, .. } = self;
+        let ahead = Ahead { mesh, edges, evaluated_at, fans, vertices };
+        queue.replace_top(entry, |level, entry| ahead.rises(level, entry));
+    }
+
+    fn is_hub(&self, vertex: VertexId) -> bool {
+        self.mesh.faces_around(vertex).len() > self.max_valence
+    }
+
+    fn must_wait(&self, edge: EdgeId) -> bool {
+        self.edges.ends(edge).iter().any(|&end| self.is_hub(end))
+    }
+
+    /// Lets edges at hubs into the queue, for good; false if there are none.
+    #[cold]
+    fn admit_hubs(&mut self) -> bool {
+        let is_aside = |&e: &EdgeId| self.evaluated_at[e.index()] == ASIDE && self.must_wait(e);
+        let waiting: Vec<EdgeId> = self.edges.edges().filter(is_aside).collect();
+        self.max_valence = usize::MAX;
+        waiting.iter().for_each(|&edge| self.requeue(edge));
+        !waiting.is_empty()
+    }
+
     fn is_fresh(&self, edge: EdgeId) -> bool {
-        let since = self.evaluated_at[edge.index()];
-        self.edges.ends(edge).iter().all(|v| self.vertices[v.index()].changed_at <= since)
+        is_fresh(&self.edges, &self.evaluated_at, &self.vertices, edge)
     }
 
     /// The queue entry and placement of an edge as things are now.
@@ -186,7 +241,7 @@ impl<'a> Run<'a> {
         let ends = self.edges.ends(edge);
         self.sum(ends[0]);
         self.sum(ends[1]);
-        let fans = ends.map(|v| &self.vertices[v.index()].fan);
+        let fans = ends.map(|v| &self.fans[v.index()]);
         let found = placement_between(self.mesh, ends, fans, self.params, &mut self.scratch);
         self.evaluations += 1;
         self.evaluated_at[edge.index()] = self.now;
@@ -201,7 +256,7 @@ impl<'a> Run<'a> {
         let state = &mut self.vertices[vertex.index()];
         if !state.is_summed {
             state.is_summed = true;
-            state.fan = Fan::new(self.mesh, vertex);
+            self.fans[vertex.index()] = Fan::new(self.mesh, vertex);
         }
     }
 
@@ -247,21 +302,32 @@ impl<'a> Run<'a> {
         let state = &mut self.vertices[vertex.index()];
         state.changed_at = self.now;
         state.is_summed = false;
-        if std::mem::take(&mut state.has_aside) {
+        if state.has_aside && !self.is_hub(vertex) {
             self.queue_again(vertex);
         }
     }
 
+    /// Returns the edges at a vertex that were set aside to the queue, those that must wait apart.
     #[cold]
     fn queue_again(&mut self, vertex: VertexId) {
-        for &edge in self.edges.edges_around(vertex) {
-            let evaluated_at = &mut self.evaluated_at[edge.index()];
-            if *evaluated_at == ASIDE {
-                *evaluated_at = 0;
-                // The lowest key there is: evaluated at once, when the next edge is sought.
-                self.queue.push(Entry::new(0.0, edge));
+        self.vertices[vertex.index()].has_aside = false;
+        for i in 0..self.edges.edges_around(vertex).len() {
+            let edge = self.edges.edges_around(vertex)[i];
+            if self.evaluated_at[edge.index()] != ASIDE {
+                continue;
+            }
+            if self.must_wait(edge) {
+                self.vertices[vertex.index()].has_aside = true;
+            } else {
+                self.requeue(edge);
             }
         }
+    }
+
+    fn requeue(&mut self, edge: EdgeId) {
+        self.evaluated_at[edge.index()] = 0;
+        // The lowest key there is: evaluated at once, when the next edge is sought.
+        self.queue.push(Entry::new(0.0, edge));
     }
 }
 

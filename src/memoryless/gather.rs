@@ -6,9 +6,13 @@
 //! over the triangles at one vertex ([`Fan`]) serve all its edges.
 
 use glam::DVec3;
+use smallvec::SmallVec;
 
 use super::quadratic::{Quadratic, Symmetric};
 use crate::mesh::{EditMesh, FaceId, VertexId};
+
+/// Longer lists than this are not merged to find what they share.
+const MAX_MERGED: usize = 64;
 
 /// Sums over triangles with a common vertex, model units.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -41,6 +45,10 @@ impl Fan {
     fn shared(mesh: &EditMesh, a: VertexId, b: VertexId) -> Self {
         let mut shared = Self::default();
         let (at_a, at_b) = (mesh.faces_around(a), mesh.faces_around(b));
+        if at_a.len().max(at_b.len()) > MAX_MERGED {
+            mesh.edge_faces(a, b).iter().for_each(|&f| shared.add(mesh.area_normal(f)));
+            return shared;
+        }
         let (mut i, mut j) = (0, 0);
         let (mut found, mut n_found) = ([FaceId(0); 8], 0);
         // Both lists ascend. No branches in here: which is lower cannot be predicted.
@@ -139,13 +147,12 @@ pub(super) fn boundary(
     let mut optimisation = Quadratic::default();
     let mut is_empty = true;
     for (end, other) in [(a, None), (b, Some(a))] {
-        let faces = mesh.faces_around(end);
+        let (faces, far_ends) = (mesh.faces_around(end), far_ends(mesh, end));
         for &face in faces {
             let [next, last] = mesh.turned_to(face, end);
             for [from, to] in [[end, next], [last, end]] {
                 let far = if from == end { to } else { from };
-                let holds_far = |&&f: &&FaceId| mesh.vertices_of(f).contains(&far);
-                if Some(far) == other || faces.iter().filter(holds_far).count() != 1 {
+                if Some(far) == other || !occurs_once(&far_ends, far) {
                     continue;
                 }
                 let [x0, x1] = [from, to].map(|v| around.local(mesh.position(v)));
@@ -159,6 +166,19 @@ pub(super) fn boundary(
     }
     let preservation = swept_area2(edge_sum, cross_sum);
     (!is_empty).then_some(Boundary { preservation, optimisation })
+}
+
+/// The far end of each side at a vertex, ascending; twice where two triangles share the side.
+fn far_ends(mesh: &EditMesh, vertex: VertexId) -> SmallVec<[VertexId; 32]> {
+    let faces = mesh.faces_around(vertex).iter();
+    let mut far_ends: SmallVec<_> = faces.flat_map(|&f| mesh.turned_to(f, vertex)).collect();
+    far_ends.sort_unstable();
+    far_ends
+}
+
+fn occurs_once(ascending: &[VertexId], vertex: VertexId) -> bool {
+    let at = ascending.partition_point(|&v| v < vertex);
+    ascending.get(at) == Some(&vertex) && ascending.get(at + 1) != Some(&vertex)
 }
 
 /// |½(E × x − C)|² as a function of x.

@@ -11,6 +11,7 @@
 //!
 //! Knows nothing of attributes (the mesh carries them along), files, pictures or jobs.
 
+mod ahead;
 mod constraints;
 mod driver;
 mod gather;

@@ -15,6 +15,8 @@ use std::cmp::Reverse;
 use crate::mesh::EdgeId;
 
 const N_CHILDREN: usize = 4;
+/// Levels that a riser is told of.
+const N_LEVELS_TOLD: u32 = 4;
 
 /// An edge and its cost, ordered by cost, then by id.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -34,8 +36,9 @@ impl Entry {
     }
 }
 
-/// The part of the far entries that comes near at a time, and the fewest that do.
-const NEAR_SHARE: usize = 4;
+/// The part of the far entries that comes near at a time, and the fewest that do. A smaller part
+/// stays in the cache; but each time, all far entries are looked through.
+const NEAR_SHARE: usize = 16;
 const MIN_NEAR: usize = 2048;
 
 /// Entries, cheapest first.
@@ -60,25 +63,20 @@ impl Queue {
         self.near.first().copied()
     }
 
-    /// Takes the cheapest entry out.
-    pub(super) fn pop(&mut self) -> Option<Entry> {
-        let cheapest = self.peek()?;
-        let last = self.near.pop()?;
-        if self.near.is_empty() {
-            self.refill();
-        } else {
-            sink(&mut self.near, 0, last);
-        }
-        Some(cheapest)
-    }
-
-    /// Exchanges the cheapest entry for another one.
-    pub(super) fn replace_top(&mut self, entry: Entry) {
-        if entry < self.limit {
-            sink(&mut self.near, 0, entry);
-        } else {
-            self.far.push(entry);
-            self.pop();
+    /// Exchanges the cheapest entry for another one, or takes it out; `rises` hears of each entry
+    /// that comes to a level nearer to the top (0) than [`N_LEVELS_TOLD`].
+    pub(super) fn replace_top(&mut self, entry: Option<Entry>, rises: impl FnMut(u32, Entry)) {
+        let replacement = match entry {
+            Some(entry) if entry < self.limit => Some(entry),
+            Some(entry) => {
+                self.far.push(entry);
+                self.near.pop()
+            }
+            None => self.near.pop(),
+        };
+        match replacement {
+            Some(last) if !self.near.is_empty() => sink(&mut self.near, 0, last, rises),
+            _ => self.refill(),
         }
     }
 
@@ -114,14 +112,15 @@ impl Queue {
         self.near.extend(self.far.drain(last..));
         for at in (0..self.near.len().div_ceil(N_CHILDREN)).rev() {
             let entry = self.near[at];
-            sink(&mut self.near, at, entry);
+            sink(&mut self.near, at, entry, |_, _| {});
         }
     }
 }
 
 /// Puts an entry at `at` or, after lesser ones have moved up, below.
 #[inline]
-fn sink(heap: &mut [Entry], mut at: usize, entry: Entry) {
+fn sink(heap: &mut [Entry], mut at: usize, entry: Entry, mut rises: impl FnMut(u32, Entry)) {
+    let mut level = 0;
     loop {
         let first = at * N_CHILDREN + 1;
         let Some((child, least)) = least_child(heap, first) else { break };
@@ -129,6 +128,10 @@ fn sink(heap: &mut [Entry], mut at: usize, entry: Entry) {
             break;
         }
         heap[at] = least;
+        if level < N_LEVELS_TOLD {
+            rises(level, least);
+        }
+        level += 1;
         at = child;
     }
     heap[at] = entry;
@@ -152,6 +155,12 @@ fn least_child(heap: &[Entry], first: usize) -> Option<(usize, Entry)> {
 mod tests {
     use super::*;
 
+    fn taken(queue: &mut Queue) -> Option<Entry> {
+        let cheapest = queue.peek()?;
+        queue.replace_top(None, |_, _| {});
+        Some(cheapest)
+    }
+
     #[test]
     fn entries_leave_by_cost_then_id() {
         let costs = [3.0, 0.0, f64::MAX, 1e-300, 3.0, 1e300, 0.0, 7.0, f64::NAN];
@@ -159,7 +168,8 @@ mod tests {
         let mut queue = Queue::new(costs.iter().enumerate().map(entry).collect());
         queue.push(Entry::new(2.0, EdgeId(100)));
         queue.push(Entry::new(-0.0, EdgeId(101)));
-        let order: Vec<u32> = std::iter::from_fn(|| queue.pop()).map(|e| e.edge().0).collect();
+        let order: Vec<u32> =
+            std::iter::from_fn(|| taken(&mut queue)).map(|e| e.edge().0).collect();
         assert_eq!(order, [1, 6, 101, 3, 100, 0, 4, 7, 5, 2, 8]);
     }
 
@@ -169,8 +179,8 @@ mod tests {
         for i in 0..1000u32 {
             queue.push(Entry::new(f64::from(i.wrapping_mul(2_654_435_761) >> 12), EdgeId(i)));
         }
-        queue.replace_top(Entry::new(5e5, EdgeId(2000)));
-        let out: Vec<Entry> = std::iter::from_fn(|| queue.pop()).collect();
+        queue.replace_top(Some(Entry::new(5e5, EdgeId(2000))), |_, _| {});
+        let out: Vec<Entry> = std::iter::from_fn(|| taken(&mut queue)).collect();
         assert_eq!(out.len(), 1000);
         assert!(out.is_sorted());
     }

@@ -212,6 +212,40 @@ fn it_stops_and_says_so_when_nothing_is_left_to_collapse() {
     assert_eq!((same.snapshot(), outcome.collapses), (shapes::sphere(1), 0));
 }
 
+/// Two cones on one rim: two vertices of `n` triangles each.
+fn double_cone(n: u32) -> Mesh {
+    let mut positions = vec![DVec3::Z, -DVec3::Z];
+    let turns = (0..n).map(|k| std::f64::consts::TAU * f64::from(k) / f64::from(n));
+    positions.extend(turns.map(|t| DVec3::new(t.cos(), t.sin(), 0.1 * (11.0 * t).sin())));
+    let faces = (0..n).flat_map(|k| {
+        let (a, b) = (2 + k, 2 + (k + 1) % n);
+        [[0, a, b], [1, b, a]]
+    });
+    Mesh::from_parts(positions, faces.collect())
+}
+
+#[test]
+fn hubs_cost_little_and_keep_their_place() {
+    // Evaluating a spoke takes as many steps as its hub has triangles: at first no spoke is.
+    let n = 20_000;
+    let (mesh, outcome) = run(&double_cone(n), 2000, &Params::default());
+    assert!(outcome.reached && outcome.evaluations < 6 * u64::from(n), "{outcome:?}");
+    assert_eq!([0, 1].map(|v| mesh.position(VertexId(v))), [DVec3::Z, -DVec3::Z]);
+    let (small, outcome) = run(&double_cone(n), 60, &Params::default());
+    assert!(outcome.reached);
+    assert!((volume(&small.snapshot()) / volume(&double_cone(n)) - 1.0).abs() < 1e-9);
+}
+
+#[test]
+fn hubs_give_way_where_nothing_else_does() {
+    // Triangles that share one vertex and no edge: only spokes may go.
+    let positions = (0..2001).map(|k| DVec3::new(f64::from(k).sin(), f64::from(k), 1.0)).collect();
+    let faces = (0..1000).map(|k| [0, 2 * k + 1, 2 * k + 2]).collect();
+    let free = Params { max_turn_degrees: 180.0, ..Params::default() };
+    let (_, outcome) = run(&Mesh::from_parts(positions, faces), 10, &free);
+    assert_eq!((outcome.reached, outcome.faces), (true, 10));
+}
+
 #[test]
 fn edits_progress_and_samples_reach_the_caller_who_may_stop() {
     let original = shapes::torus(40, 20, 0.05);

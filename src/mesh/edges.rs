@@ -15,6 +15,7 @@ use super::edit_mesh::EditMesh;
 use super::error::Violation;
 use super::lists::Lists;
 use super::model::{EdgeId, VertexId};
+use super::prefetch::prefetch;
 
 /// Edges of a mesh, by id and by vertex.
 #[derive(Clone, Debug)]
@@ -64,6 +65,18 @@ impl EdgeTable {
         self.alive[edge.index()]
     }
 
+    /// Begins to load the ends of an edge.
+    #[inline]
+    pub(crate) fn prefetch(&self, edge: EdgeId) {
+        prefetch(&self.ends, edge.index());
+    }
+
+    /// Begins to load the edges at a vertex.
+    #[inline]
+    pub(crate) fn prefetch_around(&self, vertex: VertexId) {
+        self.around.prefetch(vertex.index());
+    }
+
     /// The ends of an edge, ascending (of a dead one: as it died).
     #[inline]
     pub fn ends(&self, edge: EdgeId) -> [VertexId; 2] {
@@ -83,8 +96,9 @@ impl EdgeTable {
 
     /// The edge between two vertices.
     pub fn find(&self, a: VertexId, b: VertexId) -> Option<EdgeId> {
-        let around = self.edges_around(a).iter();
-        around.copied().find(|&e| self.ends(e) == if a < b { [a, b] } else { [b, a] })
+        let (at_a, at_b) = (self.edges_around(a), self.edges_around(b));
+        let few = if at_a.len() <= at_b.len() { at_a } else { at_b };
+        few.iter().copied().find(|&e| self.ends(e) == if a < b { [a, b] } else { [b, a] })
     }
 
     /// The end of an edge that is not `vertex`.
@@ -152,8 +166,7 @@ impl EdgeTable {
             let Some(apex) = removed.vertices.into_iter().find(|v| !ends.contains(v)) else {
                 continue;
             };
-            let holds_keep = |&f: &_| mesh.vertices_of(f).contains(&collapse.keep);
-            if mesh.faces_around(apex).iter().any(holds_keep) {
+            if mesh.has_edge(collapse.keep, apex) {
                 continue;
             }
             if let Some(at) = at_keep.iter().position(|spoke| spoke.1 == apex) {

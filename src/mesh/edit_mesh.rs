@@ -22,6 +22,7 @@ use smallvec::SmallVec;
 use super::error::{MeshError, Violation};
 use super::lists::{CacheLine, Lists};
 use super::model::{Corner, FaceId, Mesh, VertexId, WedgeId};
+use super::prefetch::prefetch;
 
 /// A mesh with connectivity for local edits.
 #[derive(Clone, Debug)]
@@ -109,6 +110,24 @@ impl EditMesh {
         self.alive[face.index()]
     }
 
+    /// Begins to load a vertex.
+    #[inline]
+    pub(crate) fn prefetch_vertex(&self, vertex: VertexId) {
+        self.around.prefetch(vertex.index());
+    }
+
+    /// Begins to load the corners of the triangles at a vertex.
+    #[inline]
+    pub(crate) fn prefetch_corners(&self, vertex: VertexId) {
+        self.faces_around(vertex).iter().for_each(|f| prefetch(&self.mesh.faces, f.index()));
+    }
+
+    /// Begins to load the area normals of the triangles at a vertex.
+    #[inline]
+    pub(crate) fn prefetch_area_normals(&self, vertex: VertexId) {
+        self.faces_around(vertex).iter().for_each(|f| prefetch(&self.normals, f.index()));
+    }
+
     /// Whether a vertex has a living triangle.
     #[inline]
     pub fn is_used(&self, vertex: VertexId) -> bool {
@@ -151,8 +170,23 @@ impl EditMesh {
 
     /// The living triangles that hold both vertices, ascending; empty if there is no such edge.
     pub fn edge_faces(&self, a: VertexId, b: VertexId) -> SmallVec<[FaceId; 2]> {
-        let holds_b = |f: &FaceId| a != b && self.mesh.faces[f.index()].contains(&b.0);
-        self.faces_around(a).iter().copied().filter(holds_b).collect()
+        let (few, other) = self.fewer_faces(a, b);
+        let holds_both = |f: &FaceId| a != b && self.mesh.faces[f.index()].contains(&other.0);
+        few.iter().copied().filter(holds_both).collect()
+    }
+
+    /// Whether some living triangle holds both vertices.
+    pub(super) fn has_edge(&self, a: VertexId, b: VertexId) -> bool {
+        let (few, other) = self.fewer_faces(a, b);
+        a != b && few.iter().any(|f| self.mesh.faces[f.index()].contains(&other.0))
+    }
+
+    /// The triangles at the end that has fewer, and the other end: one of the two may have very
+    /// many.
+    #[inline]
+    fn fewer_faces(&self, a: VertexId, b: VertexId) -> (&[FaceId], VertexId) {
+        let (at_a, at_b) = (self.faces_around(a), self.faces_around(b));
+        if at_a.len() <= at_b.len() { (at_a, b) } else { (at_b, a) }
     }
 
     /// The vertices that share a living triangle with `vertex`, ascending, into `out`.

@@ -168,7 +168,7 @@ impl EditMesh {
     fn n_holes_at(&self, ends: [VertexId; 2], rings: &[Ring; 2], apexes: &[VertexId]) -> usize {
         let [of_a, of_b] = rings;
         let is_hole = |v: &&VertexId| {
-            of_b.vertices.contains(v)
+            of_b.vertices.binary_search(v).is_ok()
                 && !apexes.contains(v)
                 && ends.iter().all(|&end| self.is_boundary_edge(end, **v))
         };

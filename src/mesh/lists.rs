@@ -9,11 +9,12 @@
 //! 2. a list is in the pool if and only if it has more than [`N_INLINE`] items; its row then holds
 //!    its place (`start`, `cap`) as the first two inline items; places do not overlap;
 //! 3. `live` is the sum of the lengths in the pool; the pool is packed anew when more than that
-//!    and one entry per row are unused.
+//!    and one entry per row are unused, so that any order of appending is linear.
 //!
 //! Knows nothing of meshes.
 
 use super::model::{EdgeId, FaceId};
+use super::prefetch::prefetch;
 
 /// Items that a row holds itself.
 const N_INLINE: usize = 7;
@@ -103,6 +104,12 @@ impl<T: Id, C, A: Default> Lists<T, C, A> {
         })
     }
 
+    /// Begins to load the row of a list.
+    #[inline]
+    pub(super) fn prefetch(&self, list: usize) {
+        prefetch(&self.rows, list);
+    }
+
     /// What is kept beside a list.
     #[inline]
     pub(super) fn companion(&self, list: usize) -> &C {
@@ -159,7 +166,7 @@ impl<T: Id, C, A: Default> Lists<T, C, A> {
 
     /// Takes an item out of a list; false if it was not there.
     pub(super) fn remove(&mut self, list: usize, item: T) -> bool {
-        let Some(at) = self.get(list).iter().position(|&x| x == item) else { return false };
+        let Ok(at) = self.get(list).binary_search(&item) else { return false };
         let row = &mut self.rows[list];
         let len = row.len as usize;
         if row.is_inline() {
@@ -200,30 +207,25 @@ impl<T: Id, C, A: Default> Lists<T, C, A> {
     fn relocate(&mut self, list: usize, items: &[T]) {
         // Not to be packed along: it has no place.
         self.rows[list].len = 0;
-        if self.pool.len() + items.len() > 2 * self.live + self.rows.len() + MIN_POOL {
+        self.live += items.len();
+        if self.pool.len() > 2 * self.live + self.rows.len() + MIN_POOL {
             self.pack();
         }
-        let start = self.pool.len();
-        // Valences vary by one or two from edit to edit: room for that saves most moves. In
-        // proportion, so that appending to a long list stays cheap.
-        let capacity = (items.len() + items.len() / 4).next_multiple_of(4);
-        self.pool.extend_from_slice(items);
-        self.pool.resize(start + capacity, T::from_raw(0));
+        let (start, capacity) = append(&mut self.pool, items);
         let row = &mut self.rows[list];
         row.len = items.len() as u32;
         row.inline[0] = T::from_raw(start as u32);
         row.inline[1] = T::from_raw(capacity as u32);
-        self.live += items.len();
     }
 
-    /// Closes all gaps in the pool, keeping the lists in their order.
+    /// Closes the gaps between places in the pool, keeping the lists in their order.
     fn pack(&mut self) {
-        let mut pool = Vec::with_capacity(self.live + self.live / 4 + MIN_POOL);
+        let mut pool = Vec::with_capacity(self.live + self.live / 2 + MIN_POOL);
         for row in self.rows.iter_mut().filter(|row| !row.is_inline()) {
             let (start, len) = (row.place().0, row.len as usize);
-            row.inline[0] = T::from_raw(pool.len() as u32);
-            row.inline[1] = T::from_raw(row.len);
-            pool.extend_from_slice(&self.pool[start..start + len]);
+            let (start, capacity) = append(&mut pool, &self.pool[start..start + len]);
+            row.inline[0] = T::from_raw(start as u32);
+            row.inline[1] = T::from_raw(capacity as u32);
         }
         self.pool = pool;
     }
@@ -242,6 +244,17 @@ impl<T: Id, C, A: Default> Lists<T, C, A> {
         let ascends = |list| self.get(list).windows(2).all(|pair| pair[0] < pair[1]);
         live && fits && apart && (0..self.len()).all(ascends)
     }
+}
+
+/// Gives a list a place at the end of the pool: (start, capacity).
+fn append<T: Id>(pool: &mut Vec<T>, items: &[T]) -> (usize, usize) {
+    let start = pool.len();
+    // Valences vary by one or two from edit to edit: room for that saves most moves. In
+    // proportion, so that appending to a long list stays cheap.
+    let capacity = (items.len() + items.len() / 4).next_multiple_of(4);
+    pool.extend_from_slice(items);
+    pool.resize(start + capacity, T::from_raw(0));
+    (start, capacity)
 }
 
 #[cfg(test)]
@@ -281,5 +294,16 @@ mod tests {
         }
         assert!(lists.pool.len() < 3 * MIN_POOL && lists.is_sound());
         assert_eq!(lists.get(0), ids(0..10));
+    }
+
+    #[test]
+    fn long_lists_grow_in_turn() {
+        // Packing the pool must leave them room, or every item appended would move a whole list.
+        let mut lists: Lists<FaceId> = Lists::new(std::iter::repeat_n((), 2));
+        for item in ids(0..400_000) {
+            lists.push(item.0 as usize % 2, item);
+        }
+        assert!(lists.is_sound() && lists.pool.len() < 2 * 400_000 + MIN_POOL);
+        assert!(lists.get(1).iter().all(|item| item.0 % 2 == 1));
     }
 }

@@ -10,6 +10,7 @@ mod error;
 mod legality;
 mod lists;
 mod model;
+pub(crate) mod prefetch;
 mod refine;
 mod revise;
 pub mod shapes;

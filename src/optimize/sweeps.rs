@@ -18,7 +18,7 @@ const SWAP: Operation = Operation { kind: Kind::Swap, level: 0 };
 
 const SEARCHED_SWAP: Operation = Operation { kind: Kind::Swap, level: 2 };
 /// Swaps of a sweep that are tried again with free vertices.
-const N_SEARCHED_SWAPS: usize = 128;
+const N_SEARCHED_SWAPS: usize = 32;
 
 /// Growth of a vertex's step when it moved, and its shrinkage when it did not.
 const GROW: f64 = 1.1;

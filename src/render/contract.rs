@@ -155,6 +155,34 @@ pub fn displacement(scene: &Scene, moved: &[(u32, DVec3)]) -> Move {
     mv
 }
 
+/// Parallel squares over one another, each of side 2 · `half`, together `height` high, coloured so
+/// that each differs from the next. Vertices 4 k to 4 k + 3 are those of square k; two more keep the
+/// cameras in place.
+pub fn sheets(n: usize, half: f64, height: f64) -> Scene {
+    let (mut positions, mut faces) = (Vec::new(), Vec::new());
+    for k in 0..n {
+        positions.extend(square(half, height * (k as f64 / n as f64 - 0.5)));
+        let at = 4 * k as u32;
+        faces.extend([[at, at + 1, at + 2], [at, at + 2, at + 3]]);
+    }
+    positions.extend([DVec3::splat(-0.8), DVec3::splat(0.8)]);
+    scene_of(positions, faces, Look { coloured: true, ..LOOKS[0] })
+}
+
+/// The corners of a square of side 2 · `half` at a height.
+pub fn square(half: f64, z: f64) -> [DVec3; 4] {
+    [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]
+        .map(|(x, y)| DVec3::new(half * x, half * y, z))
+}
+
+/// Moves a square of the stack through it to another depth.
+pub fn through_the_stack(scene: &Scene, n: usize, rng: &mut TestRng) -> Move {
+    let first = 4 * (rng.next_u32() % n as u32);
+    let lift = DVec3::Z * (f64::from(rng.next_u32() % 601) / 1000.0 - 0.3);
+    let moved: Vec<_> = (first..first + 4).map(|v| (v, scene.position(v) + lift)).collect();
+    displacement(scene, &moved)
+}
+
 fn new_normals(
     scene: &Scene,
     mv: &Move,
@@ -230,11 +258,29 @@ fn check(make: &dyn Fn(&Scene, Reference) -> Box<dyn Evaluator>, look: Look, n_e
         .unwrap();
 }
 
+/// Lists far longer than any fixed size: sixty sheets over one another, moved through the stack.
+fn check_deep(make: &dyn Fn(&Scene, Reference) -> Box<dyn Evaluator>, n_edits: u32) {
+    let n = 60;
+    let mut scene = sheets(n, 0.7, 0.3);
+    let reference = raster::reference(&scene);
+    let mut evaluator = make(&scene, reference.clone());
+    let mut rng = TestRng::deterministic_rng(RngAlgorithm::ChaCha);
+    for _ in 0..n_edits {
+        let mv = through_the_stack(&scene, n, &mut rng);
+        let judged = evaluator.evaluate(&scene, std::slice::from_ref(&mv)).unwrap();
+        assert_eq!(judged, [evaluator.commit(&mut scene, &mv).unwrap()]);
+        let full = raster::reference(&scene).pictures;
+        assert_eq!(raster::energy(&reference, &full), evaluator.energy());
+        assert!(pictures(evaluator.as_mut(), &scene) == full);
+    }
+}
+
 /// The whole contract, for every look.
 pub fn check_all(make: &dyn Fn(&Scene, Reference) -> Box<dyn Evaluator>, n_edits: u32) {
     for look in LOOKS {
         check(make, look, n_edits);
     }
+    check_deep(make, n_edits / 10);
 }
 
 #[test]

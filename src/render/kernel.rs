@@ -4,8 +4,8 @@
 //! time for those with AVX2 (three times as fast). Tests compare them; the contract suite runs the
 //! one that this machine would use.
 //!
-//! The only `unsafe` of the project is here: calling a function compiled for AVX2 after asking the
-//! processor whether it has it.
+//! One of the two `unsafe` places of the project is here (`mesh/prefetch.rs` has the other): calling
+//! a function compiled for AVX2 after asking the processor whether it has it.
 
 use super::{
     fragments::{BLOCK_HEIGHT, BLOCK_WIDTH, FragmentLists, LANES},

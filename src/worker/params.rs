@@ -77,7 +77,7 @@ pub fn turns(n_faces: usize, max_evaluations: u64) -> optimize::Turns {
     optimize::Turns {
         evaluations: (20 * n).min(max_evaluations / 6),
         n_others: 3,
-        last_evaluations: (60 * n).min(max_evaluations / 3),
+        last_evaluations: (20 * n).min(max_evaluations / 4),
     }
 }
 

@@ -10,6 +10,8 @@
 mod agreement;
 mod bad_input;
 mod determinism;
+mod large;
+mod looks;
 mod optimizing;
 mod quality;
 mod support;

@@ -4,11 +4,11 @@
 use lookalike::{
     compare::{Params, Reference},
     io::{Limits, read},
-    jobs::spec::{Effort, Method, Optimize, Spec},
+    jobs::spec::{Effort, Method, Spec},
     mesh::Mesh,
 };
 
-use super::support::{job, real_model};
+use super::support::{job, real_model, simplify_only};
 
 fn level(spec: &Spec, name: &str, input: &[u8]) -> Mesh {
     let done = job(spec, name, input, "cpu");
@@ -21,8 +21,7 @@ fn check(file: &str, triangles: u32, effort: Effort, at_most: f64) {
     let Some(input) = real_model(file) else { return };
     let original = read(file, &input, &Limits::default()).unwrap().mesh;
     let reference = Reference::new(&original, &Params::default());
-    let optimize = Optimize { max_evaluations: Some(0), ..Optimize::default() };
-    let spec = Spec { effort, optimize, ..Spec::new(vec![triangles]) };
+    let spec = Spec { effort, ..simplify_only(vec![triangles]) };
     let image = level(&spec, file, &input);
     let memoryless = level(&Spec { method: Method::Memoryless, ..spec }, file, &input);
     assert!(image.faces.len().abs_diff(memoryless.faces.len()) <= 1);

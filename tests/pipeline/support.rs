@@ -7,8 +7,9 @@ use lookalike::{
     io::write_glb,
     jobs::{
         event::{EnergySample, Report},
-        spec::Spec,
+        spec::{Optimize, Spec},
     },
+    progressive::Reader,
     worker::pipeline::{DeviceChoice, Inputs, PipelineError, run},
 };
 
@@ -87,6 +88,27 @@ pub fn job_on(spec: &Spec, inputs: &Inputs<'_>, device: &str) -> Done {
     }
     let records = counts.get(&None).copied().unwrap_or(0);
     Done { files, notes, records, edits, samples, result }
+}
+
+/// Levels of so many triangles, simplified and not optimized.
+pub fn simplify_only(triangles: Vec<u32>) -> Spec {
+    let optimize = Optimize { max_evaluations: Some(0), ..Optimize::default() };
+    Spec { optimize, ..Spec::new(triangles) }
+}
+
+/// Every level comes out of the progressive file as it was written; the file, opened.
+pub fn check_levels(done: &Done) -> Reader<'_> {
+    let reader = Reader::open(&done.files["progressive.lkpm"]).unwrap();
+    for level in &reader.header().levels {
+        let mesh = reader.extract_level(&level.name).unwrap();
+        let wanted = &done.files[&format!("{}.glb", level.name)];
+        assert!(&write_glb(&mesh).unwrap() == wanted, "{}", level.name);
+        mesh.check().unwrap();
+        // The chain alone gives what optimization, if there was any, began with.
+        let before = reader.extract(level.faces).unwrap();
+        assert!(before == reader.extract_level_before_edits(&level.name).unwrap());
+    }
+    reader
 }
 
 /// Records in a chunk of the stream.

@@ -10,7 +10,9 @@
 )]
 
 mod api;
+mod bad_input;
 mod command_line;
+mod files;
 mod lint;
 mod optimize;
 mod panics;
