@@ -103,7 +103,11 @@ impl Prices {
     pub fn front(&mut self, mesh: &EditMesh, n: usize) -> Vec<(Ends, Entry)> {
         loop {
             let front: Vec<(Ends, Entry)> = self.cheapest().take(n).collect();
-            let is_gone = |ends: &Ends| mesh.edge_faces(ends[0], ends[1]).is_empty();
+            // A vertex of a split that was taken back is no slot at all.
+            let is_gone = |ends: &Ends| {
+                ends[1].index() >= mesh.n_vertex_slots()
+                    || mesh.edge_faces(ends[0], ends[1]).is_empty()
+            };
             let gone: Vec<Ends> = front.iter().map(|(ends, _)| *ends).filter(is_gone).collect();
             if gone.is_empty() {
                 return front;

@@ -14,7 +14,7 @@ use super::{
 
 /// Edges whose collapse is judged at once.
 const BATCH: usize = 24;
-/// Triangles by which the mesh may differ from what it was at first.
+/// Triangles that the mesh may have fewer than at first; it never has more.
 const MOST_OFF: usize = 2;
 /// Rounds of judging before a search for a collapse gives up.
 const MAX_ROUNDS: usize = 24;
@@ -144,14 +144,14 @@ fn relax_around(
     sweeps::relax(run, &vertices, RELAX_ROUNDS, within)
 }
 
-/// The cheapest collapses that bring the number of triangles back to where it was, give or take
-/// [`MOST_OFF`]: a boundary edge takes one triangle with it, any other two.
+/// The cheapest collapses that bring the number of triangles back to where it was, or at most
+/// [`MOST_OFF`] below: a boundary edge takes one triangle with it, any other two.
 fn fitting(run: &mut Run<'_>) -> Vec<(Ends, Entry)> {
     let mut front = run.memory.collapses.front(run.mesh, BATCH);
     let n_faces = run.mesh.n_faces();
     front.retain(|(ends, _)| {
         let left = n_faces - run.mesh.edge_faces(ends[0], ends[1]).len();
-        left.abs_diff(run.memory.n_faces) <= MOST_OFF
+        left <= run.memory.n_faces && left + MOST_OFF >= run.memory.n_faces
     });
     front
 }

@@ -9,7 +9,7 @@ use crate::jobs::spec::{Effort, Method, Spec};
 ///
 /// Measured with `benches/optimizer.rs`; `docs/results.md` has the curves.
 const PER_TRIANGLE: [(Effort, u64); 3] =
-    [(Effort::Fast, 40), (Effort::Balanced, 150), (Effort::Best, 600)];
+    [(Effort::Fast, 40), (Effort::Balanced, 200), (Effort::Best, 1000)];
 
 /// Limits of the optimization of one level.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

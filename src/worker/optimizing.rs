@@ -86,8 +86,8 @@ fn optimize<'j>(
     Ok(())
 }
 
-/// With the run-time views and others in turn, so that the mesh fits the model and not twenty pictures
-/// of it; with the run-time views alone where there is no number of evaluations to share out.
+/// With the run-time views and others in turn where that pays, so that the mesh fits the model and not
+/// twenty pictures of it; else with the run-time views alone.
 fn optimize_mesh(
     job: &mut Job<'_>,
     mesh: &mut EditMesh,
@@ -95,10 +95,10 @@ fn optimize_mesh(
     recorder: &mut Recorder<'_>,
 ) -> Result<Outcome, PipelineError> {
     let params = params::optimization(job.spec, budget);
+    let job_spec = job.spec;
     let studio = job.studio();
     let mut on = |step: Step<'_>| recorder.step(&step);
-    if params.max_evaluations > 0 {
-        let turns = params::turns(mesh.n_faces(), params.max_evaluations);
+    if let Some(turns) = params::turns(job_spec, mesh.n_faces(), params.max_evaluations) {
         let mut show = |turn, mesh: &EditMesh| Ok(studio.turned(turn, mesh)?);
         return alternate(mesh, &params, turns, &mut show, &mut on);
     }

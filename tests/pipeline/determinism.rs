@@ -2,19 +2,31 @@
 
 use lookalike::{
     io::{Limits, read},
-    jobs::spec::{Effort, Render, Shading, Spec},
+    jobs::spec::{Effort, Optimize, Render, Shading, Spec},
     render::adapters,
 };
 
 use super::support::{check_levels, job, sample};
 
+/// Optimization with turns of the view sets in the first, without in the others.
 fn specs() -> [Spec; 3] {
+    let budget = |n| Optimize { max_evaluations: Some(n), ..Optimize::default() };
+    let with_budget = |n, triangles| Spec { optimize: budget(n), ..Spec::new(triangles) };
     let small = Render { n_views: 6, image_size: 128, ..Render::default() };
     let smooth = Render { shading: Shading::Smooth, ..small.clone() };
     [
-        Spec { effort: Effort::Fast, render: small.clone(), ..Spec::new(vec![900, 300]) },
-        Spec { effort: Effort::Balanced, render: smooth, ..Spec::new(vec![700]) },
-        Spec { effort: Effort::Best, render: small, start_factor: 2.0, ..Spec::new(vec![700]) },
+        Spec {
+            effort: Effort::Fast,
+            render: small.clone(),
+            ..with_budget(130_000, vec![900, 300])
+        },
+        Spec { effort: Effort::Balanced, render: smooth, ..with_budget(8_000, vec![700]) },
+        Spec {
+            effort: Effort::Best,
+            render: small,
+            start_factor: 2.0,
+            ..with_budget(8_000, vec![700])
+        },
     ]
 }
 

@@ -44,10 +44,10 @@ fn report(folder: &Path) -> Value {
 #[test]
 fn a_job_leaves_its_files_in_the_order_asked() {
     let folder = job(&["--triangles=300,900,600", "--effort=fast", "--seed=5"]);
+    let curves = ["energy.csv", "energy.svg", "optimization.svg"];
     let mut wanted: BTreeSet<String> =
-        ["progressive.lkpm", "energy.csv", "energy.svg", "levels.png", "report.json"]
-            .map(String::from)
-            .into();
+        ["progressive.lkpm", "levels.png", "report.json"].map(String::from).into();
+    wanted.extend(curves.map(String::from));
     for i in 0..3 {
         wanted.extend([format!("lod-{i}.glb"), format!("contact-{i}.png")]);
     }
@@ -82,10 +82,11 @@ fn the_report_has_its_fields() {
     assert_eq!(level["stopped_by"], "triangles");
     let stages = report["stages"].as_array().unwrap();
     let stage_names: Vec<_> = stages.iter().map(|s| s["stage"].as_str().unwrap()).collect();
-    assert_eq!(stage_names, ["memoryless", "image"]);
+    assert_eq!(stage_names, ["memoryless", "image", "optimize"]);
     for stage in stages {
         assert_eq!(stage["device"], "native");
-        for figure in ["seconds", "evaluations", "evaluations_per_second", "collapses"] {
+        let edits = if stage["stage"] == "optimize" { "edits" } else { "collapses" };
+        for figure in ["seconds", "evaluations", "evaluations_per_second", edits] {
             assert!(stage[figure].as_f64().unwrap() > 0.0, "{figure} of {stage}");
         }
     }
@@ -93,16 +94,20 @@ fn the_report_has_its_fields() {
     assert_eq!(report["records"].as_u64(), Some(n_collapses));
 }
 
+/// Scripts rely on the first seven.
+const COLUMNS: &str =
+    "seq,stage,evaluations,seconds,triangles,energy,d2,level,energy_ratio,d2_unseen,turn";
+
 #[test]
 fn the_curve_has_its_columns() {
     for (flags, stages) in [
-        (&["--effort=fast"][..], &["memoryless", "image"][..]),
+        (&["--effort=fast"][..], &["memoryless", "image", "optimize"][..]),
         (&["--simplify=memoryless"], &["memoryless"]),
     ] {
         let folder = job(&[&["--triangles=300"], flags].concat());
         let csv = fs::read_to_string(folder.path().join("out/energy.csv")).unwrap();
         let mut lines = csv.lines();
-        assert_eq!(lines.next(), Some("seq,stage,evaluations,seconds,triangles,energy,d2"));
+        assert_eq!(lines.next(), Some(COLUMNS));
         let rows: Vec<Vec<&str>> = lines.map(|line| line.split(',').collect()).collect();
         check_curve(&rows, stages);
     }
@@ -113,16 +118,20 @@ fn check_curve(rows: &[Vec<&str>], stages: &[&str]) {
     assert!(rows.len() > 20, "{} rows", rows.len());
     let mut last: BTreeMap<&str, [f64; 3]> = BTreeMap::new();
     for (seq, row) in rows.iter().enumerate() {
-        let [number, stage, evaluations, seconds, triangles, energy, d2] = row[..] else {
+        let [number, stage, evaluations, seconds, triangles, energy, d2, ref rest @ ..] = row[..]
+        else {
             panic!("{row:?}");
         };
+        assert_eq!(rest.len(), 4, "{row:?}");
+        let has_level = stage == "optimize";
+        assert!(rest.iter().all(|x| has_level || x.is_empty()), "{row:?}");
         assert_eq!(number, seq.to_string());
         let now = [evaluations, seconds, triangles].map(|x| x.parse::<f64>().unwrap());
         if let Some(before) = last.insert(stage, now) {
             let grows = before[0] <= now[0] && before[1] <= now[1] && before[2] >= now[2];
             assert!(grows, "{before:?}, then {now:?}");
         }
-        let has_pictures = stage == "image";
+        let has_pictures = stage != "memoryless";
         assert_eq!(energy.parse::<u64>().is_ok(), has_pictures, "{row:?}");
         assert_eq!(d2.parse::<f64>().is_ok(), has_pictures, "{row:?}");
     }
