@@ -1,7 +1,7 @@
 # Lookalike: two commands do everything on a fresh Debian 12 with a Rust toolchain.
 #   make demo [MODEL=path]   build, start a server, simplify a model, leave the results in out/demo
 #   make test                everything that CI checks
-.PHONY: demo test setup build lint unit python loadtest torture bench results deny
+.PHONY: demo test setup build lint deny unit python loadtest torture bench results advisories
 
 CARGO ?= cargo
 VENV := .venv
@@ -15,13 +15,21 @@ build:
 	deploy/setup.sh
 	$(CARGO) build --release --bins
 
-test: lint unit python
+test: lint deny unit python
 	@echo "all checks passed"
 
 lint:
 	deploy/setup.sh test
 	$(CARGO) fmt --check
 	$(CARGO) clippy --release --all-targets -- -D warnings
+
+# Licences, banned crates and sources of all dependencies (deny.toml); needs no network.
+deny:
+	@if $(CARGO) deny --version >/dev/null 2>&1; then \
+	    $(CARGO) deny --log-level error check licenses bans sources; \
+	else \
+	    echo "deny: SKIPPED, cargo-deny is not installed (cargo install --locked cargo-deny)"; \
+	fi
 
 unit:
 	deploy/setup.sh test
@@ -49,5 +57,6 @@ bench:
 results: build
 	python3 benches/results.py $(if $(QUICK),--quick)
 
-deny:
-	$(CARGO) deny check
+# Known vulnerabilities and yanked versions: asks the network, and so is not part of `make test`.
+advisories:
+	$(CARGO) deny check advisories
