@@ -72,8 +72,8 @@ pub fn optimization(spec: &Spec, budget: &Budget) -> optimize::Params {
 
 /// Evaluations for each triangle from which on turns pay.
 ///
-/// Bunny, 1,336 triangles, unseen d2 as a share of the start: .876 with turns and .86 without at 40
-/// evaluations a triangle; .834 with turns and .842 without at 150.
+/// Bunny, 1,336 triangles, unseen d2 as a share of the start: with turns .876 at 40 evaluations a
+/// triangle and .834 at 150; without .857 at 62 and .842 at 150. The threshold lies between by guess.
 const TURNS_FROM: u64 = 100;
 /// Pixels of all views for each triangle below which a turn would fit noise.
 const TURNS_FROM_PIXELS: u64 = 64;
