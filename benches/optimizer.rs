@@ -38,7 +38,7 @@ use std::{
 };
 
 use lookalike::{
-    compare, io, memoryless,
+    cluster, compare, io, memoryless,
     mesh::{EditMesh, Mesh, MoveCount, Sample, Step, Topology},
     metric::{
         Objective, Pictures, bounding_sphere, reference_pictures, scene_of_edit_mesh,
@@ -443,7 +443,7 @@ fn start(stage: &Stage<'_>, model: &str, options: &Options) -> Mesh {
     let (kind, n) = (options.text("start", "memoryless"), options.get("triangles", 1336));
     match kind.as_str() {
         "memoryless" => by_geometry(stage.original, n),
-        "cluster" => clustered(stage.original, n as usize),
+        "cluster" => cluster::cluster(stage.original, n as usize),
         "image" => {
             let look = &stage.pictures;
             let (views, size) = (look.views.len(), look.params.image_size);
@@ -491,16 +491,4 @@ fn by_pictures(stage: &Stage<'_>, n: u32) -> Mesh {
         .run_to(n as usize, &mut |_| ControlFlow::Continue(()))
         .expect("the twin never fails");
     mesh.snapshot()
-}
-
-/// Vertex clustering to at most `n` triangles, as near as it gets.
-fn clustered(original: &Mesh, n: usize) -> Mesh {
-    let positions: Vec<[f32; 3]> =
-        original.positions.iter().map(|p| p.as_vec3().to_array()).collect();
-    let vertices = meshopt::VertexDataAdapter::new(bytemuck::cast_slice(&positions), 12, 0)
-        .expect("three floats a vertex");
-    let indices = original.faces.as_flattened();
-    let left = meshopt::simplify_sloppy(indices, &vertices, 3 * n, f32::INFINITY, None);
-    let faces = left.chunks_exact(3).map(|f| [f[0], f[1], f[2]]).collect();
-    Mesh::from_parts(original.positions.clone(), faces)
 }

@@ -37,6 +37,6 @@ echo
 echo "Levels of detail:      $(ls "$out"/lod-*.glb | tr '\n' ' ')"
 echo "Before, after, diff:   $(ls "$out"/contact-*.png | tr '\n' ' ')"
 echo "The chain at a glance: $out/levels.png"
-echo "Energy curve:          $out/energy.csv $out/energy.svg"
+echo "Energy curve:          $out/energy.csv $out/energy.svg $out/optimization.svg"
 echo "Progressive mesh:      $out/progressive.lkpm  (lookalike extract FILE --triangles N)"
 echo "Report:                $out/report.json"

@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use crate::{
-    jobs::spec::Spec,
+    jobs::{event::MoveCount, spec::Spec},
     memoryless,
     mesh::{EditMesh, Mesh},
     optimize, simplify,
@@ -81,24 +81,9 @@ pub struct Optimized {
     /// Edits made.
     pub edits: u32,
     /// What each kind of move has done.
-    pub moves: Vec<Moves>,
+    pub moves: Vec<MoveCount>,
     /// What ended it.
     pub stopped_by: StoppedBy,
-}
-
-/// What a kind of move has done to a level.
-#[derive(Clone, Debug, Serialize)]
-pub struct Moves {
-    /// Its name.
-    pub name: &'static str,
-    /// Times it was tried.
-    pub tried: u64,
-    /// Times it was accepted.
-    pub accepted: u64,
-    /// Evaluations spent on it.
-    pub evaluations: u64,
-    /// Energy that it has taken off.
-    pub reduction: i64,
 }
 
 /// One finished level.

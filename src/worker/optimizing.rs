@@ -11,10 +11,10 @@ use super::{
     branch::Branch,
     budget::{Budget, budgets},
     critic::Critic,
-    levels::{Level, Levels, Moves, Optimized, StoppedBy},
+    levels::{Level, Levels, Optimized, StoppedBy},
     params,
     pipeline::{Job, PipelineError, editable},
-    recorder::Recorder,
+    recorder::{Recorder, counts},
     results::StageFigures,
 };
 
@@ -95,10 +95,10 @@ fn optimize_mesh(
     recorder: &mut Recorder<'_>,
 ) -> Result<Outcome, PipelineError> {
     let params = params::optimization(job.spec, budget);
-    let job_spec = job.spec;
+    let turns = params::turns(job.spec, mesh.n_faces(), params.max_evaluations);
     let studio = job.studio();
     let mut on = |step: Step<'_>| recorder.step(&step);
-    if let Some(turns) = params::turns(job_spec, mesh.n_faces(), params.max_evaluations) {
+    if let Some(turns) = turns {
         let mut show = |turn, mesh: &EditMesh| Ok(studio.turned(turn, mesh)?);
         return alternate(mesh, &params, turns, &mut show, &mut on);
     }
@@ -108,13 +108,6 @@ fn optimize_mesh(
 
 fn optimized(outcome: &Outcome) -> Optimized {
     let (before, after) = (outcome.energy_before, outcome.energy_after);
-    let moves = outcome.moves.iter().map(|m| Moves {
-        name: m.name,
-        tried: m.tried,
-        accepted: m.accepted,
-        evaluations: m.evaluations,
-        reduction: m.reduction,
-    });
     Optimized {
         evaluations: outcome.evaluations,
         seconds: 0.0,
@@ -123,7 +116,7 @@ fn optimized(outcome: &Outcome) -> Optimized {
         energy_ratio: if before == 0 { 1.0 } else { after as f64 / before as f64 },
         d2_unseen_percent: None,
         edits: 0,
-        moves: moves.collect(),
+        moves: counts(&outcome.moves),
         stopped_by: StoppedBy::of_optimization(outcome.stopped_by),
     }
 }

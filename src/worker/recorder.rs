@@ -202,15 +202,7 @@ impl<'a> Recorder<'a> {
 
     fn moves(&mut self, moves: &[crate::mesh::MoveCount]) -> ControlFlow<()> {
         let Some(branch) = &self.branch else { return ControlFlow::Continue(()) };
-        let count = |m: &crate::mesh::MoveCount| MoveCount {
-            name: m.name.into(),
-            tried: m.tried,
-            accepted: m.accepted,
-            evaluations: m.evaluations,
-            reduction: m.reduction,
-        };
-        let moves = moves.iter().map(count).collect();
-        self.report(Report::Moves { level: branch.level, moves })
+        self.report(Report::Moves { level: branch.level, moves: counts(moves) })
     }
 
     /// Streams the records that were not streamed yet.
@@ -258,8 +250,11 @@ impl<'a> Recorder<'a> {
         let edits = std::mem::replace(&mut self.n_streamed, n_records);
         let mut branch = self.branch.take();
         if let (Some(branch), Some(last)) = (&mut branch, self.samples.last().cloned()) {
-            let mut told = EnergySample { energy: Some(energy), d2: Some(d2), ..last };
+            let mut told = EnergySample { energy: Some(energy), d2: Some(d2), ..last.clone() };
             told.energy_ratio = branch.energy_ratio(energy);
+            // Time may have run out in a turn of other views, which no sample has told of.
+            let is_higher = last.energy.is_some_and(|before| energy > before);
+            told.turn = last.turn.map(|turn| turn + u32::from(is_higher));
             told.d2_unseen = Some(branch.judge());
             self.samples.push(told.clone());
             self.tell(Report::Sample(told))?;
@@ -298,6 +293,18 @@ impl<'a> Recorder<'a> {
             None => ControlFlow::Continue(()),
         }
     }
+}
+
+/// Counts of moves as jobs tell them.
+pub(super) fn counts(moves: &[crate::mesh::MoveCount]) -> Vec<MoveCount> {
+    let count = |m: &crate::mesh::MoveCount| MoveCount {
+        name: m.name.into(),
+        tried: m.tried,
+        accepted: m.accepted,
+        evaluations: m.evaluations,
+        reduction: m.reduction,
+    };
+    moves.iter().map(count).collect()
 }
 
 /// So many seconds later; `None` where that is beyond all clocks.
