@@ -37,6 +37,7 @@ unit:
 
 python: $(VENV)/installed
 	LOOKALIKE_BIN=$(CURDIR)/target/release/lookalike $(VENV)/bin/python -m pytest -q clients/python/tests
+	LOOKALIKE_BIN=$(CURDIR)/target/release/lookalike $(VENV)/bin/python -m pytest -q loadtest
 
 $(VENV)/installed: $(CLIENT) $(wildcard proto/lookalike/*/*.proto)
 	deploy/setup.sh test

@@ -1,21 +1,22 @@
-//! Speed of memoryless simplification, one thread: triangles removed per second on generated
-//! meshes of two sizes (the rate should hardly depend on the size), and the cost of one placement.
+//! Speed of memoryless simplification, one thread: triangles removed per second on the generated
+//! sample at three sizes, and the cost of one placement.
 //!
-//! For comparison, CGAL 5.5.1's `edge_collapse` with its Lindstrom–Turk policies, CPU clocks, on
-//! the same machine (2 shared cores of an AMD EPYC, 2026-11-23) under heavy other load, so that
-//! only the ratios mean anything, and those to about a tenth:
+//! For comparison, CGAL 5.5.1's `edge_collapse` with its Lindstrom–Turk policies, CPU clocks, best of
+//! six (bunny) and three (dragon) runs in alternation with ours, on 2 shared cores of an AMD EPYC under
+//! other load, so that only the ratios mean anything, and those to about a tenth:
 //!
-//! | model | CGAL | this | ratio | how |
-//! |---|---:|---:|---:|---|
-//! | Stanford bunny 69,451 → 1,336 | 1.47 s | 0.200 s | 7.3 | best of 4, in alternation |
-//! | the same, after the last change of layout | 2.04 s | 0.297 s | 6.9 | best of 4, in alternation |
-//! | Stanford dragon 871,414 → 8,192 | 34.3 s | 4.87 s | 7.0 | one run of CGAL, best of 6, apart |
+//! | model | CGAL | this | ratio |
+//! |---|---:|---:|---:|
+//! | Stanford bunny 69,451 → 1,336 | 1.29 s | 0.167 s | 7.7 (of the medians: 6.7) |
+//! | Stanford dragon 871,414 → 8,192 | 20.7 s | 3.23 s | 6.4 |
+//! | the same, `GLIBC_TUNABLES=glibc.malloc.hugetlb=1` | 20.7 s | 2.99 s | 6.9 |
 //!
-//! The dragon cost 1.8 times as much per triangle as the bunny here (CGAL: 1.4 to 1.8 times).
-//!
-//! Memory latency bounds it: an edge that comes up after its surroundings changed touches about
-//! twenty cache lines anywhere in the mesh. Huge pages (`GLIBC_TUNABLES=glibc.malloc.hugetlb=1`)
-//! make large meshes about 20 % faster.
+//! The generated sample, best of three: 70,000 triangles 447 k/s, 250,000 336 k/s, a million 278 k/s.
+//! The number of steps is linear (6.5 evaluations a collapse, at any size); a step waits longer for
+//! memory where the mesh, about 190 bytes a triangle, no longer fits the cache: the queue jumps to
+//! another place of the mesh each time. Loading ahead what the queue hands out next
+//! (`memoryless/ahead.rs`) took a fifth off both models. No order of vertices and triangles helped:
+//! meshes sorted along a space-filling curve took as long.
 
 #![allow(clippy::expect_used, reason = "a benchmark fails by panicking")]
 
@@ -24,17 +25,22 @@ use std::ops::ControlFlow;
 use std::time::Duration;
 
 use criterion::{BatchSize, BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use lookalike::compare::sample_mesh;
 use lookalike::memoryless::{Params, Scratch, placement, simplify};
-use lookalike::mesh::{EdgeTable, EditMesh, shapes};
+use lookalike::mesh::{EdgeTable, EditMesh};
 
-/// Grids of n × n/2 quads around a torus: 70 thousand and a million triangles.
-const SIZES: [u32; 2] = [264, 1000];
+/// Triangles of the sample.
+const SIZES: [usize; 3] = [70_000, 250_000, 1_000_000];
+
+fn sample(n_faces: usize) -> EditMesh {
+    EditMesh::new(sample_mesh(3, n_faces)).expect("the sample is sound")
+}
 
 fn simplification(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("memoryless");
     group.sample_size(10).measurement_time(Duration::from_secs(5));
     for n in SIZES {
-        let mesh = EditMesh::new(shapes::torus(n, n / 2, 0.05)).expect("a torus is sound");
+        let mesh = sample(n);
         let (n_faces, target) = (mesh.n_faces() as u64, mesh.n_faces() as u32 / 52);
         group.throughput(Throughput::Elements(n_faces - u64::from(target)));
         group.bench_function(BenchmarkId::new("triangles_removed", n_faces), |bencher| {
@@ -52,7 +58,7 @@ fn simplification(criterion: &mut Criterion) {
 }
 
 fn evaluation(criterion: &mut Criterion) {
-    let mesh = EditMesh::new(shapes::torus(SIZES[0], SIZES[0] / 2, 0.05)).expect("sound");
+    let mesh = sample(SIZES[0]);
     let edges = EdgeTable::new(&mesh);
     let ends: Vec<_> = edges.edges().map(|e| edges.ends(e)).collect();
     let (params, mut scratch) = (Params::default(), Scratch::default());

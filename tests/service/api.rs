@@ -269,6 +269,8 @@ async fn health_reflection_and_metrics_answer() {
         "lookalike_claims_total 1",
         "lookalike_evaluations_total{stage=\"image\"}",
         "lookalike_stage_seconds{stage=\"image\"}",
+        "lookalike_evaluations_per_second",
+        "lookalike_energy",
     ] {
         assert!(page.contains(line), "{line} is not on the page:\n{page}");
     }
