@@ -39,9 +39,9 @@ use std::{
 
 use lookalike::{
     cluster, compare, io, memoryless,
-    mesh::{EditMesh, Mesh, MoveCount, Sample, Step, Topology},
+    mesh::{EditMesh, Mesh, MoveCount, Step, Topology},
     metric::{
-        Objective, Pictures, bounding_sphere, reference_pictures, scene_of_edit_mesh,
+        Objective, Pictures, ViewSet, bounding_sphere, reference_pictures, scene_of_edit_mesh,
         scene_with_normals, with_vertex_normals,
     },
     optimize::{OptimizeError, Optimizer, Outcome, Params, Solver, Turns, alternate},
@@ -156,7 +156,6 @@ fn experiment(options: &Options) {
         began: Instant::now(),
         cpu_at_start: cpu_seconds(),
         looking: (0.0, 0.0),
-        last: None,
         moves: Vec::new(),
     };
     let outcome = optimize(&stage, options, &params, &mut mesh, &mut watch);
@@ -182,10 +181,16 @@ fn optimize(
             .run(&mut on)
             .expect("the twin never fails");
     }
-    let last_evaluations = options.get("last", options.get("turn", 0)) * n_triangles;
-    let turns = Turns { evaluations, n_others: options.get("others", 1), last_evaluations };
-    let mut show = |turn: u64, mesh: &EditMesh| Ok(stage.objective(mesh, turn));
-    alternate::<OptimizeError>(mesh, params, turns, &mut show, &mut on)
+    let turns = Turns {
+        evaluations,
+        n_others: options.get("others", 3),
+        steps: [options.get("first", 48), options.get("steps", 24), options.get("rest", 48)],
+    };
+    let center = bounding_sphere(stage.original).center;
+    let set = |turn| ViewSet::turned(stage.original, &stage.pictures, center, turn);
+    let sets: Vec<ViewSet> = (0..options.get("sets", 16)).map(set).collect();
+    let mut show = |set: usize, mesh: &EditMesh| Ok(stage.shown(mesh, &sets[set]));
+    alternate::<OptimizeError>(mesh, params, turns, &sets, &mut show, &mut on)
         .expect("the twin never fails")
 }
 
@@ -227,16 +232,17 @@ impl<'m> Stage<'m> {
 
     /// The mesh in the views of a turn.
     fn objective(&self, mesh: &EditMesh, turn: u64) -> Objective {
-        let turned = self.pictures.turned(bounding_sphere(self.original).center, turn);
-        let reference = match turn {
-            0 => self.reference.clone(),
-            _ => reference_pictures(self.original, &turned),
-        };
+        let center = bounding_sphere(self.original).center;
+        self.shown(mesh, &ViewSet::turned(self.original, &self.pictures, center, turn))
+    }
+
+    fn shown(&self, mesh: &EditMesh, set: &ViewSet) -> Objective {
         let scene = if self.has_normals {
-            scene_with_normals(mesh, &turned)
+            scene_with_normals(mesh, &set.pictures)
         } else {
-            scene_of_edit_mesh(mesh, &turned)
+            scene_of_edit_mesh(mesh, &set.pictures)
         };
+        let reference = set.reference.clone();
         let inner = make_evaluator("cpu", &scene, reference.clone()).expect("the twin");
         let timed = Box::new(Timed { inner, spent: Arc::clone(&self.spent) });
         let objective = Objective::new(mesh, scene, timed).with_reference(reference);
@@ -334,7 +340,6 @@ struct Watch<'a> {
     cpu_at_start: f64,
     /// Wall and processor seconds spent looking.
     looking: (f64, f64),
-    last: Option<Sample>,
     moves: Vec<MoveCount>,
 }
 
@@ -342,14 +347,10 @@ impl Watch<'_> {
     fn see(&mut self, step: Step<'_>) -> ControlFlow<()> {
         match step {
             Step::Edit(edit) => self.replay.redo(edit),
-            Step::Sample(sample) => {
-                self.last = Some(sample);
-                if sample.evaluations >= self.next_look {
-                    self.look();
-                }
-            }
+            Step::Sample(sample) if sample.evaluations == 0 => self.look(0),
             Step::Moves(moves) => self.moves = moves.to_vec(),
-            Step::Progress { .. } => {}
+            Step::Progress { done, .. } if done >= self.next_look => self.look(done),
+            Step::Sample(_) | Step::Progress { .. } => {}
         }
         ControlFlow::Continue(())
     }
@@ -361,18 +362,17 @@ impl Watch<'_> {
     }
 
     /// Prints how things are.
-    fn look(&mut self) {
-        let Some(sample) = self.last else { return };
+    fn look(&mut self, evaluations: u64) {
         let (wall, cpu) = self.seconds();
-        let energy = sample.energy.unwrap_or(0);
+        let energy = self.stage.objective(&self.replay, 0).energy();
         let first = *self.first_energy.get_or_insert(energy);
-        self.next_look = (sample.evaluations / self.looks_apart.max(1) + 1) * self.looks_apart;
+        self.next_look = (evaluations / self.looks_apart.max(1) + 1) * self.looks_apart;
         let d2 = self.judge.d2(self.stage, &self.replay.snapshot());
         println!(
             "  {:>9} evaluations ({:>5.0} a triangle) {wall:>6.1} s wall {cpu:>6.1} s processor: \
              E {:>6.2}%  unseen d2 {:.4} of the start, {:.4} of memoryless",
-            sample.evaluations,
-            sample.evaluations as f64 / f64::from(sample.triangles),
+            evaluations,
+            evaluations as f64 / self.replay.n_faces() as f64,
             100.0 * energy as f64 / first as f64,
             d2 / self.unseen[0],
             d2 / self.unseen[1],
@@ -384,6 +384,7 @@ impl Watch<'_> {
 
     /// Prints what the moves did, and where the time went.
     fn report(&mut self, outcome: &Outcome, stage: &Stage<'_>) {
+        self.look(outcome.evaluations);
         let (wall, cpu) = self.seconds();
         let inside = stage.spent.load(Ordering::Relaxed) as f64 / 1e9;
         println!(
@@ -457,7 +458,10 @@ fn start(stage: &Stage<'_>, model: &str, options: &Options) -> Mesh {
             let bytes = fs::read(&path).expect("just written");
             io::read("start.glb", &bytes, &io::Limits::default()).expect("a model").mesh
         }
-        other => panic!("start={other}"),
+        path => {
+            let bytes = fs::read(path).expect(path);
+            io::read(path, &bytes, &io::Limits::default()).expect("a model").mesh
+        }
     }
 }
 

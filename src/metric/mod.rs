@@ -5,8 +5,12 @@
 
 mod albedo;
 mod bvh;
+mod drawn;
 pub mod image;
 mod objective;
+mod slopes;
+#[cfg(test)]
+mod slopes_tests;
 pub mod surface;
 mod template;
 #[cfg(test)]
@@ -14,7 +18,8 @@ mod template_tests;
 
 pub use albedo::Albedo;
 pub use objective::{
-    Objective, Pictures, bounding_sphere, d2_percent, reference_pictures, scene_of_edit_mesh,
-    scene_with_normals, stored_normal, with_vertex_normals,
+    Objective, Pictures, ViewSet, bounding_sphere, d2_percent, reference_pictures,
+    scene_of_edit_mesh, scene_with_normals, stored_normal, with_vertex_normals,
 };
+pub use slopes::{Slope, Slopes, slopes};
 pub use template::{Change, Free, Template};

@@ -37,6 +37,23 @@ pub struct Pictures {
     pub views: Vec<View>,
 }
 
+/// A set of views, and what the original looks like in them.
+#[derive(Clone, Debug)]
+pub struct ViewSet {
+    /// From where, and how.
+    pub pictures: Pictures,
+    /// The original.
+    pub reference: Reference,
+}
+
+impl ViewSet {
+    /// The original in other views: those of `pictures`, turned (see [`Pictures::turned`]).
+    pub fn turned(original: &Mesh, pictures: &Pictures, center: DVec3, turn: u64) -> Self {
+        let pictures = pictures.turned(center, turn);
+        Self { reference: reference_pictures(original, &pictures), pictures }
+    }
+}
+
 impl Pictures {
     /// The same cameras, all turned about the centre of the model by the same rotation: number
     /// `turn` of a sequence that covers the rotations evenly; number 0 is none at all.

@@ -132,9 +132,10 @@ impl<'a> Optimizer<'a> {
 /// Runs passes until the run is over.
 fn passes(run: &mut Run<'_>, sources: &mut Sources) -> Result<(), RenderError> {
     let is_allowed = |p: &Pass| match p {
-        Pass::Vertices | Pass::Swaps => run.params.has_sweeps,
+        Pass::Vertices => run.params.has_sweeps && run.params.has_vertex_moves,
+        Pass::Swaps => run.params.has_sweeps,
         Pass::Teleports => run.params.has_sweeps && run.params.has_teleports,
-        Pass::Edges => true,
+        Pass::Edges => run.params.has_vertex_moves,
     };
     let allowed: Vec<Pass> = PASSES.into_iter().filter(is_allowed).collect();
     let mut rates = vec![f64::INFINITY; allowed.len()];

@@ -15,6 +15,7 @@
 //! Knows nothing of files, devices or jobs.
 
 mod alternate;
+mod descent;
 mod driver;
 mod edges;
 mod operations;

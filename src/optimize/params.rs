@@ -36,6 +36,9 @@ pub struct Params {
     pub edges_per_iteration: usize,
     /// Sweeps of single vertices and of swaps between iterations.
     pub has_sweeps: bool,
+    /// Vertices are searched for better places, alone and with their edges; otherwise they move with
+    /// discrete moves only.
+    pub has_vertex_moves: bool,
     /// Vertices may move from one part of the model to another.
     pub has_teleports: bool,
     /// A split for which no collapse is cheap enough keeps, as in the paper, the cheapest one,
@@ -69,6 +72,7 @@ impl Default for Params {
             quadratic_rounds: 1,
             edges_per_iteration: 64,
             has_sweeps: true,
+            has_vertex_moves: true,
             has_teleports: true,
             allows_uphill: false,
             closes_holes: false,

@@ -99,21 +99,32 @@ impl Prices {
         }
     }
 
-    /// The cheapest edges that still exist; those that do not leave the queue.
-    pub fn front(&mut self, mesh: &EditMesh, n: usize) -> Vec<(Ends, Entry)> {
-        loop {
-            let front: Vec<(Ends, Entry)> = self.cheapest().take(n).collect();
-            // A vertex of a split that was taken back is no slot at all.
-            let is_gone = |ends: &Ends| {
-                ends[1].index() >= mesh.n_vertex_slots()
-                    || mesh.edge_faces(ends[0], ends[1]).is_empty()
-            };
-            let gone: Vec<Ends> = front.iter().map(|(ends, _)| *ends).filter(is_gone).collect();
-            if gone.is_empty() {
-                return front;
+    /// The cheapest edges of as many triangles as `fits` says; those that are gone leave the queue.
+    pub fn front(
+        &mut self,
+        mesh: &EditMesh,
+        n: usize,
+        fits: impl Fn(usize) -> bool,
+    ) -> Vec<(Ends, Entry)> {
+        // A vertex of a split that was taken back is no slot at all.
+        let exists = |ends: &Ends| ends[1].index() < mesh.n_vertex_slots();
+        let n_faces = |ends: &Ends| {
+            if exists(ends) { mesh.edge_faces(ends[0], ends[1]).len() } else { 0 }
+        };
+        let mut gone = Vec::new();
+        let mut front = Vec::new();
+        for (ends, entry) in self.cheapest() {
+            match n_faces(&ends) {
+                0 => gone.push(ends),
+                n_faces if fits(n_faces) => front.push((ends, entry)),
+                _ => {}
             }
-            gone.into_iter().for_each(|ends| self.remove(ends));
+            if front.len() == n {
+                break;
+            }
         }
+        gone.into_iter().for_each(|ends| self.remove(ends));
+        front
     }
 
     /// Learns what one level more has saved.

@@ -93,7 +93,6 @@ impl Memory {
         self.collapses.doubt();
         self.splits.doubt();
         self.steps.iter_mut().for_each(|step| *step = step.max(STIRRED));
-        self.searched_swaps.clear();
     }
 }
 

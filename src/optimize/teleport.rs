@@ -39,7 +39,7 @@ pub fn pair(run: &mut Run<'_>) -> Result<i64, RenderError> {
     let (mut sum, mut n_tried, mut n_failed) = (0, 0, 0);
     while n_tried < MAX_PER_PASS && n_failed < MAX_FAILURES && !run.is_over() {
         run.sample_if_due();
-        let front = run.memory.splits.front(run.mesh, SPLIT_BATCH);
+        let front = run.memory.splits.front(run.mesh, SPLIT_BATCH, |_| true);
         let Some((ends, first)) = front.first().copied() else { break };
         if first.is_stale {
             let stale: Vec<_> = front.into_iter().filter(|(_, e)| e.is_stale).collect();
@@ -147,13 +147,9 @@ fn relax_around(
 /// The cheapest collapses that bring the number of triangles back to where it was, or at most
 /// [`MOST_OFF`] below: a boundary edge takes one triangle with it, any other two.
 fn fitting(run: &mut Run<'_>) -> Vec<(Ends, Entry)> {
-    let mut front = run.memory.collapses.front(run.mesh, BATCH);
-    let n_faces = run.mesh.n_faces();
-    front.retain(|(ends, _)| {
-        let left = n_faces - run.mesh.edge_faces(ends[0], ends[1]).len();
-        left <= run.memory.n_faces && left + MOST_OFF >= run.memory.n_faces
-    });
-    front
+    let (now, most) = (run.mesh.n_faces(), run.memory.n_faces);
+    let fits = |n: usize| now - n <= most && now - n + MOST_OFF >= most;
+    run.memory.collapses.front(run.mesh, BATCH, fits)
 }
 
 fn stale(front: &[(Ends, Entry)]) -> Vec<Ends> {

@@ -5,9 +5,9 @@ use std::ops::ControlFlow;
 use super::{OptimizeError, Optimizer, Outcome, Params, Solver, StoppedBy, Turns, alternate};
 use crate::{
     memoryless,
-    mesh::{EditMesh, Mesh, Sample, Step, shapes},
+    mesh::{EditMesh, Mesh, Sample, Semantic, Step, shapes},
     metric::{
-        Objective, Pictures, bounding_sphere, reference_pictures, scene_of_edit_mesh,
+        Objective, Pictures, ViewSet, bounding_sphere, reference_pictures, scene_of_edit_mesh,
         scene_with_normals, with_vertex_normals,
     },
     render::{
@@ -57,12 +57,15 @@ fn show(original: &Mesh, pictures: &Pictures, mesh: &EditMesh, has_normals: bool
 }
 
 /// What came of a run.
+#[derive(Debug)]
 struct Ran {
     outcome: Outcome,
     samples: Vec<Sample>,
     /// The mesh that the records make of the one before.
     replayed: Mesh,
     mesh: Mesh,
+    /// View sets that were shown (see [`take_turns`]).
+    turns: Vec<usize>,
 }
 
 /// Runs and checks what every run must keep: samples fall, records replay, pictures are exact.
@@ -89,7 +92,7 @@ fn check(params: &Params, shading: Shading, has_normals: bool) -> Ran {
     assert_eq!(fresh.energy(), outcome.energy_after, "pictures and mesh differ");
     assert!(params.allows_uphill || samples.is_sorted_by_key(|s| std::cmp::Reverse(s.energy)));
     assert_eq!((mesh.n_faces(), mesh.n_vertices()), (100, 50));
-    Ran { outcome, samples, replayed: replay.snapshot(), mesh: mesh.snapshot() }
+    Ran { outcome, samples, replayed: replay.snapshot(), mesh: mesh.snapshot(), turns: Vec::new() }
 }
 
 fn budget(max_evaluations: u64) -> Params {
@@ -159,32 +162,63 @@ fn a_run_ends_where_it_is_asked_to() {
 }
 
 #[test]
-fn views_take_turns_and_the_last_word_is_the_first_ones() {
+fn views_take_turns_and_the_last_word_is_told() {
     let (original, simplified) = models();
     let pictures = pictures(&original, Shading::Flat);
-    let center = bounding_sphere(&original).center;
-    let mut mesh = EditMesh::new(simplified).unwrap();
-    let mut turns = Vec::new();
-    let mut last = None;
+    let ran = take_turns(&original, simplified, &pictures, &budget(8_000));
+    assert!(ran.turns.starts_with(&[0, 0, 1, 0, 2, 0]) && ran.turns.last() == Some(&0), "{ran:?}");
+    assert!(ran.replayed == ran.mesh, "the edits that were told do not lead to the mesh");
+    let now = show(&original, &pictures, &EditMesh::new(ran.mesh).unwrap(), false).energy();
+    let (first, last) = (ran.samples[0], ran.samples[ran.samples.len() - 1]);
+    assert_eq!((ran.outcome.energy_after, last.energy), (now, Some(now)));
+    assert_eq!((first.evaluations, last.evaluations), (0, ran.outcome.evaluations));
+    assert!(ran.samples.is_sorted_by_key(|s| s.evaluations));
+    assert!((7_000..9_000).contains(&ran.outcome.evaluations), "{:?}", ran.outcome);
+    assert!(now * 10 < ran.outcome.energy_before * 9, "{:?}", ran.outcome);
+}
+
+#[test]
+fn turns_are_repeatable_and_move_normals_where_asked() {
+    let (original, simplified) = models();
+    let pictures = pictures(&original, Shading::Smooth);
+    let simplified = with_vertex_normals(simplified);
+    let [still, free, again] = [false, true, true].map(|optimizes_normals| {
+        let params = Params { optimizes_normals, ..budget(5_000) };
+        take_turns(&original, simplified.clone(), &pictures, &params)
+    });
+    assert!(free.mesh == again.mesh && free.samples == again.samples);
+    assert!(free.replayed == free.mesh && still.replayed == still.mesh);
+    assert!(free.outcome.energy_after < still.outcome.energy_after);
+}
+
+/// Normals are the mesh's own if it has any.
+fn take_turns(original: &Mesh, start: Mesh, pictures: &Pictures, params: &Params) -> Ran {
+    let has_normals = start.layer(Semantic::Normal).is_some();
+    let center = bounding_sphere(original).center;
+    let set = |turn| ViewSet::turned(original, pictures, center, turn);
+    let sets: Vec<ViewSet> = (0..4).map(set).collect();
+    let mut mesh = EditMesh::new(start.clone()).unwrap();
+    let mut replay = EditMesh::new(start).unwrap();
+    let (mut turns, mut samples) = (Vec::new(), Vec::new());
     let outcome = alternate::<OptimizeError>(
         &mut mesh,
-        &budget(6_000),
-        Turns { evaluations: 1_000, n_others: 1, last_evaluations: 1_500 },
-        &mut |turn, mesh| {
-            turns.push(turn);
-            Ok(show(&original, &pictures.turned(center, turn), mesh, false))
+        params,
+        Turns { evaluations: 1_000, n_others: 1, steps: [12, 6, 12] },
+        &sets,
+        &mut |set, mesh| {
+            turns.push(set);
+            Ok(show(original, &sets[set].pictures, mesh, has_normals))
         },
         &mut |step| {
-            if let Step::Sample(sample) = step {
-                last = Some(sample);
+            match step {
+                Step::Edit(edit) => replay.redo(edit),
+                Step::Sample(sample) => samples.push(sample),
+                Step::Moves(_) | Step::Progress { .. } => {}
             }
             ControlFlow::Continue(())
         },
     )
     .unwrap();
-    assert!(turns.starts_with(&[0, 1, 0]) && turns.last() == Some(&0), "{turns:?}");
-    let now = show(&original, &pictures, &mesh, false).energy();
-    assert_eq!((outcome.energy_after, last.unwrap().energy), (now, Some(now)));
-    assert_eq!(last.unwrap().evaluations, outcome.evaluations);
-    assert!(now < outcome.energy_before);
+    mesh.validate().unwrap();
+    Ran { outcome, samples, replayed: replay.snapshot(), mesh: mesh.snapshot(), turns }
 }

@@ -96,6 +96,11 @@ impl Scene {
         u64::from(self.params.image_size).pow(2) * self.n_views() as u64
     }
 
+    /// Number of vertex slots.
+    pub fn n_vertex_slots(&self) -> usize {
+        self.positions.len()
+    }
+
     /// Position of a vertex slot, model space.
     pub fn position(&self, vertex: u32) -> DVec3 {
         self.positions[vertex as usize]
@@ -165,6 +170,23 @@ impl Scene {
     #[inline]
     fn shade(&self, cosine: f64) -> f64 {
         self.params.ambient + (1.0 - self.params.ambient) * cosine.max(0.0)
+    }
+
+    /// The same triangles with their vertices at other places, in other views. Smooth shading:
+    /// normals follow the triangles if `derives_normals`, or stay as they are.
+    pub fn redraw(&mut self, views: &[View], positions: Vec<DVec3>, derives_normals: bool) {
+        self.views = views.to_vec();
+        self.positions = positions;
+        let snap = |p: &DVec3| self.project(*p).collect::<Vec<_>>();
+        self.screen = self.positions.par_iter().flat_map_iter(snap).collect();
+        if self.params.shading == Shading::Smooth && derives_normals {
+            self.normals = vertex_normals(&self.positions, &self.faces);
+        }
+    }
+
+    /// Other normals, by vertex slot from the first on; those that are not given stay.
+    pub fn turn_normals(&mut self, normals: impl Iterator<Item = DVec3>) {
+        self.normals.iter_mut().zip(normals).for_each(|(old, new)| *old = new);
     }
 
     /// Applies an edit to the triangles, positions and screen points.

@@ -69,7 +69,7 @@ fn optimize<'j>(
     if !recorder.is_out_of_time() {
         recorder.check()?;
     }
-    let objective = job.studio().turned(0, &mesh)?;
+    let objective = job.studio().objective(&mesh, recorder)?;
     let (energy, d2) = (objective.energy(), objective.d2_percent());
     let (branch, edits) = recorder.end_branch(energy, d2)?;
     figures.evaluations += outcome.evaluations;
@@ -86,23 +86,29 @@ fn optimize<'j>(
     Ok(())
 }
 
-/// With the run-time views and others in turn where that pays, so that the mesh fits the model and not
-/// twenty pictures of it; else with the run-time views alone.
+/// Against many view sets where that pays, so that the mesh fits the model and not twenty pictures of
+/// it; else against the run-time views alone.
 fn optimize_mesh(
     job: &mut Job<'_>,
     mesh: &mut EditMesh,
     budget: &Budget,
     recorder: &mut Recorder<'_>,
 ) -> Result<Outcome, PipelineError> {
-    let params = params::optimization(job.spec, budget);
-    let turns = params::turns(job.spec, mesh.n_faces(), params.max_evaluations);
+    let params = params::optimization(job.spec, budget, mesh.n_faces());
+    let turns = params::turns(job.spec, budget, mesh.n_faces());
+    let n_sets = params::n_view_sets(job.spec);
     let studio = job.studio();
+    while turns.is_some() && studio.sets().len() < n_sets {
+        recorder.check()?;
+        studio.add_set();
+    }
+    let (studio, sets) = (&*studio, studio.sets());
+    let mut show = |set: usize, mesh: &EditMesh| Ok(studio.show(&sets[set], mesh)?);
     let mut on = |step: Step<'_>| recorder.step(&step);
     if let Some(turns) = turns {
-        let mut show = |turn, mesh: &EditMesh| Ok(studio.turned(turn, mesh)?);
-        return alternate(mesh, &params, turns, &mut show, &mut on);
+        return alternate(mesh, &params, turns, sets, &mut show, &mut on);
     }
-    let mut objective = studio.turned(0, mesh)?;
+    let mut objective = show(0, mesh)?;
     Ok(Optimizer::new(mesh, &mut objective, params).run(&mut on)?)
 }
 

@@ -53,11 +53,14 @@ pub fn image(spec: &Spec) -> simplify::Params {
     }
 }
 
-/// Parameters of the optimization of a level.
-pub fn optimization(spec: &Spec, budget: &Budget) -> optimize::Params {
+/// Evaluations for each triangle after which a run ends that was given another limit.
+const MOST_PER_TRIANGLE: u64 = 10_000;
+
+/// Parameters of the optimization of a level of so many triangles.
+pub fn optimization(spec: &Spec, budget: &Budget, n_faces: usize) -> optimize::Params {
     optimize::Params {
         seed: spec.seed,
-        max_evaluations: budget.evaluations.unwrap_or(0),
+        max_evaluations: budget.evaluations.unwrap_or(MOST_PER_TRIANGLE * n_faces as u64),
         until: budget.until.unwrap_or(0.0),
         delta: spec.optimize.delta,
         solver: match spec.optimize.solver {
@@ -70,21 +73,27 @@ pub fn optimization(spec: &Spec, budget: &Budget) -> optimize::Params {
     }
 }
 
-/// Evaluations for each triangle from which on turns pay.
-///
-/// Bunny, 1,336 triangles, unseen d2 as a share of the start: with turns .876 at 40 evaluations a
-/// triangle and .834 at 150; without .857 at 62 and .842 at 150. The threshold lies between by guess.
-const TURNS_FROM: u64 = 100;
-/// Pixels of all views for each triangle below which a turn would fit noise.
+/// Pixels of all views for each triangle below which turns would fit noise.
 const TURNS_FROM_PIXELS: u64 = 64;
+/// View sets that take turns, and most bytes of the original's pictures in them.
+const VIEW_SETS: usize = 16;
+const VIEW_SET_BYTES: usize = 128 << 20;
 
-/// How view sets take turns in the optimization of so many triangles with so many evaluations; `None`
-/// where turns would not pay.
-pub fn turns(spec: &Spec, n_faces: usize, max_evaluations: u64) -> Option<optimize::Turns> {
+/// How view sets take turns in the optimization of so many triangles; `None` where turns would not pay,
+/// and where the run-time pictures' energy is what was asked for.
+pub fn turns(spec: &Spec, budget: &Budget, n_faces: usize) -> Option<optimize::Turns> {
     let n = n_faces as u64;
-    let n_pixels = spec.render.view_count() as u64 * u64::from(spec.render.image_size).pow(2);
-    let pays = max_evaluations >= TURNS_FROM * n && n_pixels >= TURNS_FROM_PIXELS * n;
-    pays.then_some(optimize::Turns { evaluations: 20 * n, n_others: 3, last_evaluations: 20 * n })
+    let pays = budget.until.is_none() && n_pixels(spec) as u64 >= TURNS_FROM_PIXELS * n;
+    pays.then_some(optimize::Turns { evaluations: 20 * n, n_others: 3, steps: [48, 24, 48] })
+}
+
+/// Number of view sets, the run-time views among them.
+pub fn n_view_sets(spec: &Spec) -> usize {
+    (VIEW_SET_BYTES / n_pixels(spec).max(1)).clamp(2, VIEW_SETS)
+}
+
+fn n_pixels(spec: &Spec) -> usize {
+    spec.render.view_count() * (spec.render.image_size as usize).pow(2)
 }
 
 /// Cameras and drawing.

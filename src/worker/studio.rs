@@ -6,8 +6,7 @@ use crate::{
     jobs::spec::Spec,
     mesh::{EditMesh, Mesh},
     metric::{
-        Objective, Pictures, bounding_sphere, reference_pictures, scene_of_edit_mesh,
-        scene_with_normals,
+        Objective, Pictures, ViewSet, bounding_sphere, scene_of_edit_mesh, scene_with_normals,
     },
     render::{Reference, RenderError, choose},
 };
@@ -25,8 +24,8 @@ const TWIN: (&str, &str) = ("cpu", "native");
 pub(super) struct Studio<'m> {
     original: &'m Mesh,
     center: DVec3,
-    pictures: Pictures,
-    reference: Reference,
+    /// The run-time views, then the same turned.
+    sets: Vec<ViewSet>,
     /// As asked for; once it was measured, the one that was fastest.
     device: String,
     has_chosen: bool,
@@ -37,12 +36,11 @@ impl<'m> Studio<'m> {
     /// Draws the original from all sides.
     pub fn open(spec: &Spec, original: &'m Mesh, device: &DeviceChoice) -> Self {
         let pictures = params::pictures(spec, original);
-        let reference = reference_pictures(original, &pictures);
+        let center = bounding_sphere(original).center;
         Self {
             original,
-            center: bounding_sphere(original).center,
-            pictures,
-            reference,
+            center,
+            sets: vec![ViewSet::turned(original, &pictures, center, 0)],
             device: device.0.clone(),
             has_chosen: false,
             has_own_normals: false,
@@ -54,17 +52,29 @@ impl<'m> Studio<'m> {
         self.has_own_normals = true;
     }
 
-    /// Draws a mesh as it is now, and tells which device was chosen when that is new.
+    /// The original in the run-time views, and in others.
+    pub fn sets(&self) -> &[ViewSet] {
+        &self.sets
+    }
+
+    /// Draws the original in one set of views more.
+    pub fn add_set(&mut self) {
+        let (turn, base) = (self.sets.len() as u64, &self.sets[0].pictures);
+        self.sets.push(ViewSet::turned(self.original, base, self.center, turn));
+    }
+
+    /// Draws a mesh in the run-time views, and tells which device was chosen when that is new.
     pub fn objective(
         &mut self,
         mesh: &EditMesh,
         recorder: &mut Recorder<'_>,
     ) -> Result<Objective, PipelineError> {
+        let set = &self.sets[0];
         if self.has_chosen {
-            return Ok(self.turned(0, mesh)?);
+            return Ok(self.show(set, mesh)?);
         }
-        let scene = self.scene(mesh, &self.pictures);
-        let choice = choose(&self.device, &scene, self.reference.clone())?;
+        let scene = self.scene(mesh, &set.pictures);
+        let choice = choose(&self.device, &scene, set.reference.clone())?;
         let name = choice.evaluator.name();
         for (name, evaluations_per_sec) in &choice.figures {
             let text = format!("{name}: {evaluations_per_sec:.0} evaluations/s");
@@ -74,21 +84,19 @@ impl<'m> Studio<'m> {
             recorder.note("DEVICE_NOTE", note)?;
         }
         recorder.note("DEVICE_CHOSEN", &name)?;
+        let objective = Objective::new(mesh, scene, choice.evaluator);
+        let objective = self.finish(objective, set.reference.clone());
         self.has_chosen = true;
         self.device = if name == TWIN.1 { TWIN.0.into() } else { name };
-        Ok(self.finish(Objective::new(mesh, scene, choice.evaluator), self.reference.clone()))
+        Ok(objective)
     }
 
-    /// The same with all cameras turned: the `turn`-th of a fixed sequence, 0 being none at all.
-    pub fn turned(&self, turn: u64, mesh: &EditMesh) -> Result<Objective, RenderError> {
-        let pictures = self.pictures.turned(self.center, turn);
-        let reference = match turn {
-            0 => self.reference.clone(),
-            _ => reference_pictures(self.original, &pictures),
-        };
-        let scene = self.scene(mesh, &pictures);
-        let choice = choose(&self.device, &scene, reference.clone())?;
-        Ok(self.finish(Objective::new(mesh, scene, choice.evaluator), reference))
+    /// Draws a mesh in a set of views.
+    pub fn show(&self, set: &ViewSet, mesh: &EditMesh) -> Result<Objective, RenderError> {
+        let scene = self.scene(mesh, &set.pictures);
+        let choice = choose(&self.device, &scene, set.reference.clone())?;
+        let objective = Objective::new(mesh, scene, choice.evaluator);
+        Ok(self.finish(objective, set.reference.clone()))
     }
 
     fn scene(&self, mesh: &EditMesh, pictures: &Pictures) -> crate::render::Scene {

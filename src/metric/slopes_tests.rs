@@ -1,0 +1,115 @@
+//! Slopes against differences: what the energy does on the way from one place to another is the sum of
+//! the slopes along the way. (At one place alone the energy in pixels is a staircase.)
+
+use glam::DVec3;
+
+use super::{
+    Pictures, Slopes, ViewSet, bounding_sphere, scene_of_edit_mesh, scene_with_normals, slopes,
+    with_vertex_normals,
+};
+use crate::{
+    mesh::{EditMesh, Mesh, VertexId, shapes},
+    render::{
+        RenderParams, Scene, Shading,
+        view::{Projection, ViewParams, cameras, directions},
+    },
+};
+
+/// A torus in a few views, and a coarser one that stands for it.
+fn stage(shading: Shading, projection: Projection) -> (ViewSet, Mesh) {
+    let original = shapes::torus(40, 24, 0.0);
+    let view_params = ViewParams {
+        directions: directions(6).unwrap(),
+        fov_degrees: 60.0,
+        projection,
+        light_degrees: 10.0,
+    };
+    let params =
+        RenderParams { image_size: 256, shading, ambient: 0.1, background: 128, interior_views: 0 };
+    let sphere = bounding_sphere(&original);
+    let pictures = Pictures { views: cameras(&sphere, &view_params), params };
+    let set = ViewSet::turned(&original, &pictures, sphere.center, 1);
+    (set, with_vertex_normals(shapes::torus(9, 7, 0.0)))
+}
+
+/// Steps of the way that is walked.
+const N_STEPS: usize = 32;
+
+/// Walks vertex by vertex in some direction and compares. `move_to` changes a scene, `slope` picks what
+/// it should have changed.
+fn check(
+    (set, scene): (&ViewSet, &Scene),
+    has_own_normals: bool,
+    reach: f64,
+    move_to: &dyn Fn(&mut Scene, u32, DVec3),
+    slope: &dyn Fn(&Slopes, usize) -> DVec3,
+) {
+    let (mut found, mut wanted) = (Vec::new(), Vec::new());
+    for v in [3_u32, 17, 44] {
+        for direction in DVec3::AXES {
+            let at = |t: f64| {
+                let mut scene = scene.clone();
+                move_to(&mut scene, v, direction * (reach * t));
+                slopes(&scene, &set.reference, has_own_normals)
+            };
+            wanted.push(at(1.0).energy - at(-1.0).energy);
+            let step = 2.0 / N_STEPS as f64;
+            let along = |k| slope(&at(-1.0 + (k as f64 + 0.5) * step), v as usize).dot(direction);
+            found.push((0..N_STEPS).map(along).sum::<f64>() * step * reach);
+        }
+    }
+    let size = |all: &[f64]| all.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let off: Vec<f64> = found.iter().zip(&wanted).map(|(a, b)| a - b).collect();
+    let share = size(&off) / size(&wanted);
+    assert!(share < 0.12, "{share}: {found:.0?} for {wanted:.0?}");
+}
+
+fn move_place(scene: &mut Scene, v: u32, by: DVec3) {
+    let places: Vec<DVec3> =
+        (0..scene.n_vertex_slots() as u32).map(|w| scene.position(w)).collect();
+    let views = scene.views.clone();
+    let moved = places.iter().enumerate().map(|(w, p)| if w == v as usize { *p + by } else { *p });
+    scene.redraw(&views, moved.collect(), true);
+}
+
+#[test]
+fn places_of_flat_triangles() {
+    for projection in [Projection::Perspective, Projection::Orthographic] {
+        let (set, mesh) = stage(Shading::Flat, projection);
+        let scene = scene_of_edit_mesh(&EditMesh::new(mesh).unwrap(), &set.pictures);
+        check((&set, &scene), false, 0.05, &move_place, &|s, v| s.places[v].gradient);
+    }
+}
+
+#[test]
+fn places_of_smooth_triangles_turn_the_normals_around() {
+    let (set, mesh) = stage(Shading::Smooth, Projection::Perspective);
+    let scene = scene_of_edit_mesh(&EditMesh::new(mesh).unwrap(), &set.pictures);
+    check((&set, &scene), false, 0.05, &move_place, &|s, v| s.places[v].gradient);
+}
+
+#[test]
+fn normals_of_their_own() {
+    let (set, mesh) = stage(Shading::Smooth, Projection::Perspective);
+    let scene = scene_with_normals(&EditMesh::new(mesh).unwrap(), &set.pictures);
+    let turn = |scene: &mut Scene, v: u32, by: DVec3| {
+        let all: Vec<DVec3> = (0..scene.n_vertex_slots() as u32).map(|w| scene.normal(w)).collect();
+        let turned = |(w, n): (usize, DVec3)| if w == v as usize { n + by } else { n };
+        scene.turn_normals(all.into_iter().enumerate().map(turned));
+    };
+    check((&set, &scene), true, 0.2, &turn, &|s, v| s.normals[v].gradient);
+}
+
+#[test]
+fn bends_are_those_of_a_bowl_and_unseen_vertices_have_none() {
+    let (set, mesh) = stage(Shading::Flat, Projection::Perspective);
+    let mesh = EditMesh::new(mesh).unwrap();
+    let found = slopes(&scene_of_edit_mesh(&mesh, &set.pictures), &set.reference, false);
+    assert!(found.energy > 0.0 && found.normals.is_empty());
+    for (v, slope) in found.places.iter().enumerate() {
+        assert!(mesh.is_used(VertexId(v as u32)));
+        for axis in DVec3::AXES {
+            assert!((slope.bend * axis).dot(axis) >= 0.0, "{v}: {slope:?}");
+        }
+    }
+}

@@ -1,0 +1,200 @@
+//! Steps down the slope of all vertices at once, in many views. Beyond the paper, which moves a few
+//! vertices at a time by the energies of trial places: one drawing of the pictures gives the slope at
+//! every vertex, so that hundreds of views can have their say.
+//!
+//! Invariants:
+//! 1. the connectivity stays; all that changes is where vertices are (and normals of their own);
+//! 2. what comes out is kept only if it lowers the energy of the pictures it is judged by.
+//!
+//! Source: Gauss–Newton steps, damped and with momentum (Polyak 1964), over mini-batches of views; what
+//! comes out is the mean of the last places (Polyak & Juditsky 1992).
+
+use std::ops::ControlFlow;
+
+use glam::{DMat3, DVec3};
+
+use crate::{
+    mesh::{EditMesh, EditRecord, Semantic, VertexId},
+    metric::{
+        Slope, Slopes, ViewSet, scene_of_edit_mesh, scene_with_normals, slopes, stored_normal,
+    },
+    render::Scene,
+};
+
+/// Share of a Gauss–Newton step that is taken: neighbours that move too make up the rest.
+const SHARE: f64 = 0.3;
+/// Share of the last steps that goes on.
+const MOMENTUM: f64 = 0.85;
+/// Bends are means over about so many steps.
+const HORIZON: f64 = 8.0;
+/// Added to a bend, as a share of its trace, so that no direction is without one.
+const DAMPING: f64 = 0.003;
+/// A step is at most this share of the mean length of a vertex's edges.
+const LONGEST_STEP: f64 = 0.1;
+/// The same for normals, which are about as long as 1.
+const LONGEST_TURN: f64 = 0.1;
+/// What comes out is the mean over this share of the steps, the last ones.
+const MEAN_OVER: f64 = 0.3;
+
+/// What a descent may change.
+#[derive(Clone, Copy, Debug)]
+pub struct Unknowns {
+    /// Vertices have normals of their own.
+    pub has_own_normals: bool,
+    /// These move too.
+    pub normals: bool,
+}
+
+/// Triangles that an evaluation draws: those of a vertex.
+const FACES_PER_EVALUATION: usize = 6;
+
+/// What a descent costs: the evaluations that draw as many triangles.
+pub fn cost(mesh: &EditMesh, n_steps: usize) -> u64 {
+    (mesh.n_faces() * (n_steps + 1)).div_ceil(FACES_PER_EVALUATION) as u64
+}
+
+/// Goes down the slope in `n_steps` steps, each by the next of the view sets, from number `first` on.
+/// Returns the edits, which the mesh has made; none if they would not have helped. Breaks off where
+/// `on_step` says so, before any edit.
+pub fn descend(
+    mesh: &mut EditMesh,
+    sets: &[ViewSet],
+    (first, n_steps): (usize, usize),
+    unknowns: Unknowns,
+    on_step: &mut dyn FnMut(usize) -> ControlFlow<()>,
+) -> ControlFlow<(), Vec<EditRecord>> {
+    let set = |k: usize| &sets[(first + k) % sets.len()];
+    let mut scene = if unknowns.has_own_normals {
+        scene_with_normals(mesh, &set(0).pictures)
+    } else {
+        scene_of_edit_mesh(mesh, &set(0).pictures)
+    };
+    let mut walk = Walk::new(mesh, unknowns, n_steps);
+    let mut before = None;
+    for k in 0..n_steps {
+        on_step(k)?;
+        let found = walk.look(&mut scene, set(k), unknowns);
+        before = before.or(Some(found.energy));
+        walk.step(&found, k);
+    }
+    walk.come_to_rest();
+    let after = walk.look(&mut scene, set(0), unknowns).energy;
+    let helps = before.is_some_and(|before| after < before);
+    ControlFlow::Continue(if helps { walk.edit(mesh) } else { Vec::new() })
+}
+
+/// All vertices under way, by slot.
+struct Walk {
+    n_steps: usize,
+    places: Vec<Particle>,
+    /// Empty unless they are unknowns.
+    normals: Vec<Particle>,
+}
+
+/// One place or normal under way.
+#[derive(Clone, Copy, Debug, Default)]
+struct Particle {
+    from: DVec3,
+    at: DVec3,
+    momentum: DVec3,
+    bend: DMat3,
+    /// The sum of the last places.
+    sum: DVec3,
+    /// 0 for a slot that no vertex uses.
+    longest_step: f64,
+}
+
+impl Walk {
+    fn new(mesh: &EditMesh, unknowns: Unknowns, n_steps: usize) -> Self {
+        let slots = || (0..mesh.n_vertex_slots() as u32).map(VertexId);
+        let mut ring = Vec::new();
+        let mut place = |v: VertexId| {
+            if !mesh.is_used(v) {
+                return Particle::default();
+            }
+            mesh.neighbours(v, &mut ring);
+            let at = mesh.position(v);
+            let sum: f64 = ring.iter().map(|w| at.distance(mesh.position(*w))).sum();
+            Particle::new(at, LONGEST_STEP * sum / ring.len().max(1) as f64)
+        };
+        let normal = |v| match stored_normal(mesh, v) {
+            Some(normal) if mesh.is_used(v) => Particle::new(normal, LONGEST_TURN),
+            _ => Particle::default(),
+        };
+        let n_normals = if unknowns.normals { usize::MAX } else { 0 };
+        Self {
+            n_steps,
+            places: slots().map(&mut place).collect(),
+            normals: slots().take(n_normals).map(normal).collect(),
+        }
+    }
+
+    /// Draws the model as it is now in a view set.
+    fn look(&self, scene: &mut Scene, set: &ViewSet, unknowns: Unknowns) -> Slopes {
+        let places = self.places.iter().map(|p| p.at).collect();
+        scene.redraw(&set.pictures.views, places, !unknowns.has_own_normals);
+        scene.turn_normals(self.normals.iter().map(|p| p.at));
+        slopes(scene, &set.reference, unknowns.has_own_normals)
+    }
+
+    /// One step of everything.
+    fn step(&mut self, found: &Slopes, k: usize) {
+        let share = if 2 * k > self.n_steps { 0.5 * SHARE } else { SHARE };
+        let is_counted = k + self.n_last() >= self.n_steps;
+        let places = self.places.iter_mut().zip(&found.places);
+        for (particle, slope) in places.chain(self.normals.iter_mut().zip(&found.normals)) {
+            particle.step(slope, k, share);
+            if is_counted {
+                particle.sum += particle.at;
+            }
+        }
+    }
+
+    fn n_last(&self) -> usize {
+        ((MEAN_OVER * self.n_steps as f64) as usize).max(1)
+    }
+
+    /// Everything goes where it was in the mean over the last steps.
+    fn come_to_rest(&mut self) {
+        let n = self.n_last() as f64;
+        for particle in self.places.iter_mut().chain(&mut self.normals) {
+            if particle.at != particle.from {
+                particle.at = particle.sum / n;
+            }
+        }
+    }
+
+    /// Makes it so.
+    fn edit(&self, mesh: &mut EditMesh) -> Vec<EditRecord> {
+        let moved = |p: &(usize, &Particle)| p.1.at != p.1.from;
+        let slot = |i: usize| VertexId(i as u32);
+        let mut records: Vec<EditRecord> = (self.places.iter().enumerate().filter(moved))
+            .map(|(i, p)| EditRecord::Displacement(mesh.displace(slot(i), p.at)))
+            .collect();
+        let normals: Vec<_> = (self.normals.iter().enumerate().filter(moved))
+            .map(|(i, p)| (slot(i), p.at.as_vec3().to_array()))
+            .collect();
+        if !normals.is_empty() {
+            records.extend(mesh.revalue(Semantic::Normal, &normals).map(EditRecord::Revalue));
+        }
+        records
+    }
+}
+
+impl Particle {
+    fn new(at: DVec3, longest_step: f64) -> Self {
+        Self { from: at, at, longest_step, ..Self::default() }
+    }
+
+    fn step(&mut self, slope: &Slope, n_before: usize, share: f64) {
+        let newest = 1.0 / (n_before as f64 + 1.0).min(HORIZON);
+        self.bend = self.bend * (1.0 - newest) + slope.bend * newest;
+        self.momentum = self.momentum * MOMENTUM + slope.gradient;
+        let trace = self.bend.x_axis.x + self.bend.y_axis.y + self.bend.z_axis.z;
+        let damped = self.bend + DMat3::from_diagonal(DVec3::splat(DAMPING * trace));
+        let step = damped.inverse() * self.momentum * -share;
+        if self.longest_step > 0.0 && trace > 0.0 && step.is_finite() {
+            self.at += step.clamp_length_max(self.longest_step);
+        }
+    }
+}
