@@ -8,7 +8,7 @@
 use glam::{DVec2, DVec3};
 
 use crate::render::{
-    Scene, SceneFace, Shading,
+    Scene, SceneFace, Shading, for_each_pixel,
     lattice::DEPTH_BITS,
     view::{Projection, View},
 };
@@ -23,6 +23,8 @@ pub struct Drawn<'s> {
     scene: &'s Scene,
     view: usize,
     size: usize,
+    /// Where each vertex slot is drawn, in pixels from the upper left corner.
+    points: Vec<DVec2>,
     /// Depth and triangle, or [`NOTHING`].
     keys: Vec<u64>,
     /// By triangle.
@@ -58,6 +60,8 @@ impl<'s> Drawn<'s> {
         let size = scene.lattice.size as usize;
         let mut keys = vec![NOTHING; size * size];
         let mut shades = vec![Shade::default(); scene.faces.len()];
+        let points_on_picture: Vec<DVec2> =
+            (0..scene.n_vertex_slots() as u32).map(|v| on_picture(scene, view, v)).collect();
         for (id, face) in scene.faces.iter().enumerate() {
             let Some(face) = face else { continue };
             let points = face.vertices.map(|v| scene.screen_points(v)[view]);
@@ -65,21 +69,17 @@ impl<'s> Drawn<'s> {
                 continue;
             };
             let mut is_seen = false;
-            for j in s.rect.y0..=s.rect.y1 {
-                for i in s.rect.x0..=s.rect.x1 {
-                    if s.covers(i, j) {
-                        let slot = &mut keys[j as usize * size + i as usize];
-                        let key = (s.depth.at(i, j, DEPTH_BITS) as u64) << 32 | id as u64;
-                        is_seen |= key < *slot;
-                        *slot = (*slot).min(key);
-                    }
-                }
-            }
+            for_each_pixel(&s, |i, j| {
+                let slot = &mut keys[j as usize * size + i as usize];
+                let key = (s.depth.at(i, j, DEPTH_BITS) as u64) << 32 | id as u64;
+                is_seen |= key < *slot;
+                *slot = (*slot).min(key);
+            });
             if is_seen {
-                shades[id] = Shade::of(scene, view, face);
+                shades[id] = Shade::of(scene, view, face, &points_on_picture);
             }
         }
-        Self { scene, view, size, keys, shades }
+        Self { scene, view, size, points: points_on_picture, keys, shades }
     }
 
     /// Adds energy and slopes.
@@ -199,7 +199,7 @@ impl<'s> Drawn<'s> {
         let from = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
         let of = |key: u64| {
             let face = self.scene.faces[(key as u32) as usize]?;
-            let corners = face.vertices.map(|v| (v, on_picture(self.scene, self.view, v)));
+            let corners = face.vertices.map(|v| (v, self.points[v as usize]));
             (0..3).find_map(|k| crossing(corners[k], corners[(k + 1) % 3], from, axis))
         };
         keys.into_iter().filter(|k| *k != NOTHING).find_map(of)
@@ -286,14 +286,14 @@ fn motion(view: &View, p: DVec3, size: f64) -> [DVec3; 2] {
 }
 
 impl Shade {
-    fn of(scene: &Scene, view: usize, face: &SceneFace) -> Self {
+    fn of(scene: &Scene, view: usize, face: &SceneFace, points: &[DVec2]) -> Self {
         let p = face.vertices.map(|v| scene.position(v));
         let area = (p[1] - p[0]).cross(p[2] - p[0]);
         let length = area.length();
         let normal = if length > 0.0 { area / length } else { DVec3::ZERO };
         match scene.params.shading {
             Shading::Flat => Self::flat(scene, view, face, p, (normal, length)),
-            Shading::Smooth => Self::smooth(scene, view, face, p, normal),
+            Shading::Smooth => Self::smooth(scene, view, face, (p, normal), points),
         }
     }
 
@@ -320,7 +320,13 @@ impl Shade {
         Self { corners, by: [-(by1 + by2), by1, by2], ..Self::default() }
     }
 
-    fn smooth(scene: &Scene, view: usize, face: &SceneFace, p: [DVec3; 3], normal: DVec3) -> Self {
+    fn smooth(
+        scene: &Scene,
+        view: usize,
+        face: &SceneFace,
+        (p, normal): ([DVec3; 3], DVec3),
+        points: &[DVec2],
+    ) -> Self {
         let v = &scene.views[view];
         let ambient = scene.params.ambient;
         let mut this = Self::default();
@@ -333,7 +339,7 @@ impl Shade {
                 this.by[k] = albedo * (1.0 - ambient) * side * v.to_light;
             }
         }
-        let q = face.vertices.map(|v| on_picture(scene, view, v));
+        let q = face.vertices.map(|v| points[v as usize]);
         let area = (q[1] - q[0]).perp_dot(q[2] - q[0]);
         for k in 0..3 {
             let (a, b) = (q[(k + 1) % 3], q[(k + 2) % 3]);

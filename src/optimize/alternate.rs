@@ -69,7 +69,7 @@ pub fn alternate<E: From<OptimizeError>>(
         }
     }
     if flow.is_continue() {
-        flow = run.descend(mesh, turns.steps[2], on);
+        flow = run.descend(mesh, run.affordable(mesh), on);
     }
     run.see(&show(0, mesh)?);
     if flow.is_break() || run.sample(mesh, run.n_turns, on).is_break() {
@@ -164,6 +164,16 @@ impl<'a> Alternation<'a> {
         Some(Turn { number, set: if counts { 0 } else { 1 + n_before % n_others }, n_steps })
     }
 
+    /// Steps of the last descent that the budget allows.
+    fn affordable(&self, mesh: &EditMesh) -> usize {
+        let left = self.params.max_evaluations.saturating_sub(self.outcome.evaluations);
+        let mut n_steps = self.turns.steps[2];
+        while n_steps > 0 && descent::cost(mesh, n_steps) > left {
+            n_steps -= 1;
+        }
+        n_steps
+    }
+
     /// A descent in so many steps.
     fn descend(
         &mut self,
@@ -176,6 +186,9 @@ impl<'a> Alternation<'a> {
             normals: self.has_own_normals && self.params.optimizes_normals,
         };
         let (spent, total) = (self.outcome.evaluations, self.params.max_evaluations);
+        if n_steps == 0 {
+            return ControlFlow::Continue(());
+        }
         let cost = descent::cost(mesh, n_steps);
         let mut on_step = |k: usize| {
             let done = spent + cost * k as u64 / n_steps as u64;

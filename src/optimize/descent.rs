@@ -36,6 +36,9 @@ const LONGEST_TURN: f64 = 0.1;
 /// What comes out is the mean over this share of the steps, the last ones.
 const MEAN_OVER: f64 = 0.3;
 
+/// Pixels that say whether a descent has helped: those of one view set or, of small pictures, of several.
+const JUDGED_PIXELS: u64 = 1 << 20;
+
 /// What a descent may change.
 #[derive(Clone, Copy, Debug)]
 pub struct Unknowns {
@@ -50,7 +53,7 @@ const FACES_PER_EVALUATION: usize = 6;
 
 /// What a descent costs: the evaluations that draw as many triangles.
 pub fn cost(mesh: &EditMesh, n_steps: usize) -> u64 {
-    (mesh.n_faces() * (n_steps + 1)).div_ceil(FACES_PER_EVALUATION) as u64
+    (mesh.n_faces() * (n_steps + 2)).div_ceil(FACES_PER_EVALUATION) as u64
 }
 
 /// Goes down the slope in `n_steps` steps, each by the next of the view sets, from number `first` on.
@@ -70,16 +73,18 @@ pub fn descend(
         scene_of_edit_mesh(mesh, &set(0).pictures)
     };
     let mut walk = Walk::new(mesh, unknowns, n_steps);
-    let mut before = None;
+    let n_judges = JUDGED_PIXELS.div_ceil(scene.n_pixels().max(1)).min(sets.len() as u64) as usize;
+    let judge = |walk: &Walk, scene: &mut Scene| -> f64 {
+        (0..n_judges).map(|k| walk.look(scene, set(k), unknowns).energy).sum()
+    };
+    let before = judge(&walk, &mut scene);
     for k in 0..n_steps {
         on_step(k)?;
         let found = walk.look(&mut scene, set(k), unknowns);
-        before = before.or(Some(found.energy));
         walk.step(&found, k);
     }
     walk.come_to_rest();
-    let after = walk.look(&mut scene, set(0), unknowns).energy;
-    let helps = before.is_some_and(|before| after < before);
+    let helps = judge(&walk, &mut scene) < before;
     ControlFlow::Continue(if helps { walk.edit(mesh) } else { Vec::new() })
 }
 

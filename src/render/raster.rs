@@ -65,10 +65,10 @@ pub fn for_each_fragment(scene: &Scene, view: usize, on: &mut impl FnMut(i32, i3
 /// Calls `on(i, j)` for every pixel that a triangle covers, row by row.
 pub fn for_each_pixel(s: &Setup, mut on: impl FnMut(i32, i32)) {
     for j in s.rect.y0..=s.rect.y1 {
-        for i in s.rect.x0..=s.rect.x1 {
-            if s.covers(i, j) {
-                on(i, j);
-            }
+        let row = s.rect.x0..=s.rect.x1;
+        // Triangles are convex: what a row covers is one run.
+        for i in row.skip_while(|i| !s.covers(*i, j)).take_while(|i| s.covers(*i, j)) {
+            on(i, j);
         }
     }
 }

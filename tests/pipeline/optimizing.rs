@@ -79,7 +79,7 @@ fn a_budget_is_evaluations_an_energy_or_none_at_all() {
     let budget = |n| Optimize { max_evaluations: Some(n), ..Optimize::default() };
     let told = optimization(&run(budget(3000)), 0);
     assert_eq!(told["stopped_by"], "evaluations");
-    assert!((3000..4500).contains(&told["evaluations"].as_u64().unwrap()), "{told}");
+    assert!((2000..4000).contains(&told["evaluations"].as_u64().unwrap()), "{told}");
     let told = optimization(&run(Optimize { until: Some(0.95), ..Optimize::default() }), 0);
     assert_eq!(told["stopped_by"], "energy");
     assert!(told["energy_ratio"].as_f64().unwrap() <= 0.95);
@@ -146,4 +146,18 @@ fn normals_are_found_and_written() {
     check(&done, 1);
     let level = read("lod-0.glb", &done.files["lod-0.glb"], &Limits::default()).unwrap().mesh;
     assert!(level.layer(Semantic::Normal).is_some());
+}
+
+/// 200 triangles in 12 views of 128²: enough pixels a triangle for view sets to take turns.
+#[test]
+fn view_sets_take_turns_where_pictures_are_large_enough() {
+    let render = Render { n_views: 12, image_size: 128, ..Render::default() };
+    let optimize = Optimize { max_evaluations: Some(20_000), ..Optimize::default() };
+    let spec = Spec { render, optimize, method: Method::Memoryless, ..spec(vec![200]) };
+    let done = job(&spec, "sample.glb", &sample(4000), "cpu");
+    check(&done, 1);
+    let curve: Vec<_> = done.samples.iter().filter(|s| s.stage == "optimize").collect();
+    assert!(curve.iter().any(|s| s.turn > Some(0)) && curve.is_sorted_by_key(|s| s.turn));
+    let unseen: Vec<f64> = curve.iter().filter_map(|s| s.d2_unseen).collect();
+    assert!(unseen[unseen.len() - 1] < 0.95 * unseen[0], "{unseen:?}");
 }
