@@ -19,10 +19,13 @@
 //! And jobs, which know nothing of geometry: [`jobs`] (specification, states, leases, events,
 //! stores) and [`service`] (gRPC adapters).
 //!
+//! `intrinsics`, below all of them, has what is `unsafe`, and nothing else has.
+//!
 //! `tests/layers.rs` holds the table of who may import whom.
 
 pub mod cluster;
 pub mod compare;
+mod intrinsics;
 pub mod io;
 pub mod jobs;
 pub mod memoryless;

@@ -14,13 +14,14 @@ use std::{
 };
 
 /// Module → modules of this crate that it may import (itself always).
-const MAY_IMPORT: [(&str, &[&str]); 17] = [
-    ("mesh", &[]),
+const MAY_IMPORT: [(&str, &[&str]); 18] = [
+    ("intrinsics", &[]),
+    ("mesh", &["intrinsics"]),
     ("io", &["mesh"]),
     ("progressive", &["mesh"]),
-    ("memoryless", &["mesh"]),
+    ("memoryless", &["mesh", "intrinsics"]),
     ("cluster", &["mesh"]),
-    ("render", &[]),
+    ("render", &["intrinsics"]),
     ("metric", &["mesh", "render"]),
     ("simplify", &["mesh", "memoryless", "metric", "render"]),
     ("optimize", &["mesh", "memoryless", "metric", "render"]),
@@ -190,6 +191,22 @@ fn modules_import_only_what_their_layer_allows() {
         }
     }
     assert!(faults.is_empty(), "\n{}", faults.join("\n"));
+}
+
+#[test]
+fn only_intrinsics_are_unsafe() {
+    let src = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let mut files = Vec::new();
+    sources(&src, &mut files);
+    let is_unsafe = |file: &PathBuf| {
+        let text = fs::read_to_string(file).unwrap();
+        let code = text.lines().map(|l| l.split("//").next().unwrap_or_default());
+        code.flat_map(|l| l.split(|c: char| !c.is_alphanumeric() && c != '_'))
+            .any(|word| word == "unsafe" || word == "unsafe_code")
+    };
+    let found: Vec<String> =
+        files.iter().filter(|f| is_unsafe(f)).map(|f| module_of(f, &src)).collect();
+    assert_eq!(found, ["intrinsics"]);
 }
 
 #[test]

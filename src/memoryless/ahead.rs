@@ -2,13 +2,15 @@
 //!
 //! An entry rises through the queue one level at a time. On each of the last levels it asks for what
 //! the level before made reachable: its edge, then the ends of that, then their triangles. Nothing
-//! waits, and no result depends on it. (Measured: a fifth less time, on meshes of 70 thousand
-//! triangles and of 870 thousand.)
+//! waits, and no result depends on it. (Measured: a sixth less time on a mesh of 70 thousand
+//! triangles, three tenths less on one of 870 thousand. Plain reads, which a processor does wait for,
+//! gain half of that.)
 
 use super::driver::VertexState;
 use super::gather::Fan;
 use super::queue::Entry;
-use crate::mesh::{EdgeId, EdgeTable, EditMesh, prefetch::prefetch};
+use crate::intrinsics::prefetch;
+use crate::mesh::{EdgeId, EdgeTable, EditMesh};
 
 /// The memory of a run.
 pub(super) struct Ahead<'a> {

@@ -15,7 +15,7 @@ use super::edit_mesh::EditMesh;
 use super::error::Violation;
 use super::lists::Lists;
 use super::model::{EdgeId, VertexId};
-use super::prefetch::prefetch;
+use crate::intrinsics::prefetch;
 
 /// Edges of a mesh, by id and by vertex.
 #[derive(Clone, Debug)]

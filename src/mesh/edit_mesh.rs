@@ -22,7 +22,7 @@ use smallvec::SmallVec;
 use super::error::{MeshError, Violation};
 use super::lists::{CacheLine, Lists};
 use super::model::{Corner, FaceId, Mesh, VertexId, WedgeId};
-use super::prefetch::prefetch;
+use crate::intrinsics::prefetch;
 
 /// A mesh with connectivity for local edits.
 #[derive(Clone, Debug)]

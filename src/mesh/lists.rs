@@ -14,7 +14,7 @@
 //! Knows nothing of meshes.
 
 use super::model::{EdgeId, FaceId};
-use super::prefetch::prefetch;
+use crate::intrinsics::prefetch;
 
 /// Items that a row holds itself.
 const N_INLINE: usize = 7;

@@ -10,7 +10,6 @@ mod error;
 mod legality;
 mod lists;
 mod model;
-pub(crate) mod prefetch;
 mod refine;
 mod revise;
 pub mod shapes;

@@ -3,9 +3,8 @@
 //! Two versions of the same integer arithmetic: plain, for any processor, and eight pixels at a
 //! time for those with AVX2 (three times as fast). Tests compare them; the contract suite runs the
 //! one that this machine would use.
-//!
-//! One of the two `unsafe` places of the project is here (`mesh/prefetch.rs` has the other): calling
-//! a function compiled for AVX2 after asking the processor whether it has it.
+
+use crate::intrinsics::by_processor;
 
 use super::{
     fragments::{BLOCK_HEIGHT, BLOCK_WIDTH, FragmentLists, LANES},
@@ -71,16 +70,13 @@ impl BlockRect {
     }
 }
 
-/// The change of energy of a move in one view.
-#[inline]
-pub fn delta(of: &Judged<'_>, scratch: &mut Scratch) -> i64 {
-    #[cfg(target_arch = "x86_64")]
-    if is_x86_feature_detected!("avx2") {
-        #[allow(unsafe_code, reason = "the processor was asked for AVX2 just above")]
-        // SAFETY: the function needs AVX2 and nothing else, and the processor has it.
-        return unsafe { super::kernel_avx2::delta(of, scratch) };
+by_processor! {
+    /// The change of energy of a move in one view.
+    #[inline]
+    pub fn delta(of: &Judged<'_>, scratch: &mut Scratch) -> i64 {
+        avx2: super::kernel_avx2::delta,
+        plain: delta_plain,
     }
-    delta_plain(of, scratch)
 }
 
 /// [`delta`], one pixel at a time.
