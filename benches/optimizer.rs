@@ -49,7 +49,7 @@ use lookalike::{
         Evaluator, Move, Reference, RenderError, RenderParams, Scene, Shading, make_evaluator,
         view::{Projection, ViewParams, cameras, directions},
     },
-    simplify::{self, Placements, Policy, Rules, Simplifier},
+    simplify::{self, Policy, Rules, Simplifier},
 };
 
 fn main() {
@@ -479,15 +479,12 @@ fn by_pictures(stage: &Stage<'_>, n: u32) -> Mesh {
     let scene = scene_of_edit_mesh(&mesh, &stage.pictures);
     let evaluator = make_evaluator("cpu", &scene, stage.reference.clone()).expect("the twin");
     let mut objective = Objective::new(&mesh, scene, evaluator);
-    let rules = Rules {
-        placements: Placements::Optimum,
-        topology: Topology::Preserve,
-        memoryless: memoryless::Params::default(),
-    };
+    let rules = Rules { topology: Topology::Preserve, memoryless: memoryless::Params::default() };
     let params = simplify::Params {
         policy: Policy::Eager,
         rules,
         batch: 32,
+        ahead: 1,
         search_rounds: 5,
         max_evaluations: 0,
     };

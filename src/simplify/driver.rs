@@ -5,15 +5,15 @@ use std::ops::ControlFlow;
 use glam::DVec3;
 
 use crate::{
-    memoryless::may_collapse,
+    memoryless::{self, may_collapse},
     mesh::{EdgeId, EdgeTable, EditMesh, Sample, Stage, Step, VertexId},
     metric::Objective,
-    render::{Move, RenderError},
+    render::RenderError,
 };
 
 use super::{
-    candidates::{Candidate, Collector, Rules},
-    queue::Queue,
+    candidates::{Candidate, Judge, Rules},
+    queue::{Queue, Standing},
 };
 
 /// When the neighbours of a collapse are judged again.
@@ -32,11 +32,14 @@ pub enum Policy {
 pub struct Params {
     /// When to judge again.
     pub policy: Policy,
-    /// Candidate placements and legality.
+    /// Placement and legality.
     pub rules: Rules,
     /// Stale edges judged in one batch (a constant of the algorithm, never of the device).
     pub batch: usize,
-    /// Halvings of the pattern search for the place of the chosen collapse; 0 turns it off.
+    /// So many edges at the front of the queue search for better places before the first of them
+    /// collapses; the more, the closer the order is to one by what each does at its best. 0: none.
+    pub ahead: usize,
+    /// Rounds of each search, one at least.
     pub search_rounds: u32,
     /// Stop after so many evaluations; 0 means never.
     pub max_evaluations: u64,
@@ -83,7 +86,7 @@ pub struct Simplifier<'a> {
     queue: Queue,
     /// The best place of each queued edge.
     places: Vec<DVec3>,
-    collector: Collector,
+    scratch: memoryless::Scratch,
     is_primed: bool,
     collapses_since_sample: u64,
 }
@@ -105,7 +108,7 @@ impl<'a> Simplifier<'a> {
             edges,
             queue: Queue::new(n),
             places: vec![DVec3::ZERO; n],
-            collector: Collector::default(),
+            scratch: memoryless::Scratch::default(),
             is_primed: false,
             collapses_since_sample: 0,
         }
@@ -175,44 +178,65 @@ impl<'a> Simplifier<'a> {
         Ok(ControlFlow::Continue(()))
     }
 
-    /// The edge to collapse next: the first that is up to date, judging stale ones in batches.
+    /// The edge to collapse next: the first, once it and those that follow are up to date.
     fn next_edge(&mut self) -> Result<Option<EdgeId>, SimplifyError> {
-        while let Some((edge, is_fresh)) = self.queue.first() {
-            let [a, b] = self.edges.ends(edge);
-            if is_fresh && may_collapse(self.mesh, a, b, self.params.rules.topology) {
-                return Ok(Some(edge));
-            }
-            if is_fresh {
-                self.queue.remove(edge);
+        let Params { batch, ahead, .. } = self.params;
+        while let Some((edge, standing)) = self.queue.first() {
+            if standing == Standing::Stale {
+                let stale = self.queue.first_of(Standing::Stale, batch, batch * 4);
+                self.judge(&stale)?;
                 continue;
             }
-            let batch = self.params.batch;
-            let stale = self.queue.first_stale(batch, batch * 4);
-            self.judge(&stale)?;
+            let unsearched = self.queue.first_of(Standing::Judged, ahead, ahead);
+            if !unsearched.is_empty() {
+                self.search(&unsearched)?;
+                continue;
+            }
+            let [a, b] = self.edges.ends(edge);
+            if may_collapse(self.mesh, a, b, self.params.rules.topology) {
+                return Ok(Some(edge));
+            }
+            self.queue.remove(edge);
         }
         Ok(None)
     }
 
-    /// Judges edges and enters them in the queue with their best place; those that may not
-    /// collapse leave it.
+    /// Judges edges at their memoryless optimum.
     fn judge(&mut self, edges: &[EdgeId]) -> Result<(), SimplifyError> {
-        let mut candidates = Vec::with_capacity(edges.len());
+        let found = self.judge_of_edges().optima(edges)?;
+        self.enter(edges, &found, Standing::Judged);
+        Ok(())
+    }
+
+    /// Searches for better places.
+    fn search(&mut self, edges: &[EdgeId]) -> Result<(), SimplifyError> {
+        let starts: Vec<_> = edges.iter().map(|e| (*e, self.places[e.index()])).collect();
+        let rounds = self.params.search_rounds;
+        let found = self.judge_of_edges().search(&starts, rounds)?;
+        self.enter(edges, &found, Standing::Searched);
+        Ok(())
+    }
+
+    fn judge_of_edges(&mut self) -> Judge<'_> {
+        Judge {
+            mesh: self.mesh,
+            edges: &self.edges,
+            objective: self.objective,
+            rules: &self.params.rules,
+            scratch: &mut self.scratch,
+        }
+    }
+
+    /// Enters edges in the queue with the place found for each; those without one, which may not
+    /// collapse, leave it.
+    fn enter(&mut self, edges: &[EdgeId], found: &[Candidate], standing: Standing) {
         for edge in edges {
             self.queue.remove(*edge);
-            let rules = &self.params.rules;
-            let (mesh, objective) = (&*self.mesh, &*self.objective);
-            self.collector.collect(mesh, &self.edges, objective, rules, *edge, &mut candidates);
         }
-        let moves: Vec<Move> = candidates.iter_mut().map(|c| std::mem::take(&mut c.mv)).collect();
-        let deltas = self.objective.evaluate(&moves)?;
-        for of_edge in with_deltas(&candidates, &deltas).chunk_by(|a, b| a.0.edge == b.0.edge) {
-            // The first of equals wins: the memoryless optimum comes first.
-            if let Some((best, delta)) = of_edge.iter().min_by_key(|(_, delta)| *delta) {
-                self.queue.set(best.edge, *delta);
-                self.places[best.edge.index()] = best.to;
-            }
+        for candidate in found {
+            self.queue.set(candidate.edge, candidate.delta, standing);
+            self.places[candidate.edge.index()] = candidate.to;
         }
-        Ok(())
     }
 
     /// Makes one collapse, follows it everywhere, and tells the caller.
@@ -222,7 +246,7 @@ impl<'a> Simplifier<'a> {
         on: &mut dyn FnMut(Step<'_>) -> ControlFlow<()>,
     ) -> Result<ControlFlow<()>, SimplifyError> {
         let [keep, drop] = self.edges.ends(edge);
-        let to = self.search_place(edge)?;
+        let to = self.places[edge.index()];
         let plan = self.mesh.plan_collapse(keep, drop, to);
         let Some(mv) = self.objective.collapse_move(self.mesh, &plan) else {
             self.queue.remove(edge);
@@ -237,44 +261,6 @@ impl<'a> Simplifier<'a> {
         }
         self.refresh_around(keep)?;
         Ok(on(Step::Edit((&record).into())))
-    }
-
-    /// Refines the place of the chosen collapse: a pattern search along the axes, steps halved
-    /// from a quarter of the edge's length.
-    fn search_place(&mut self, edge: EdgeId) -> Result<DVec3, SimplifyError> {
-        let mut best = self.places[edge.index()];
-        if self.params.search_rounds == 0 {
-            return Ok(best);
-        }
-        let [a, b] = self.edges.ends(edge);
-        let mut step = 0.25 * self.mesh.position(a).distance(self.mesh.position(b));
-        let mut best_delta = None;
-        for _ in 0..self.params.search_rounds {
-            let axes = [DVec3::X, DVec3::Y, DVec3::Z];
-            let mut tries: Vec<DVec3> =
-                axes.iter().flat_map(|d| [best + *d * step, best - *d * step]).collect();
-            if best_delta.is_none() {
-                tries.insert(0, best);
-            }
-            let plans = tries.iter().map(|to| self.mesh.plan_collapse(a, b, *to));
-            let moves: Vec<Move> =
-                plans.filter_map(|p| self.objective.collapse_move(self.mesh, &p)).collect();
-            if moves.len() < tries.len() {
-                break;
-            }
-            let deltas = self.objective.evaluate(&moves)?;
-            if best_delta.is_none() {
-                best_delta = deltas.first().copied();
-            }
-            let found = deltas.iter().zip(&tries).min_by_key(|(delta, _)| **delta);
-            match (found, best_delta) {
-                (Some((delta, to)), Some(old)) if *delta < old => {
-                    (best, best_delta) = (*to, Some(*delta));
-                }
-                _ => step *= 0.5,
-            }
-        }
-        Ok(best)
     }
 
     /// Marks the edges round a new vertex as stale, or judges them again, as the policy says.
@@ -336,8 +322,4 @@ impl<'a> Simplifier<'a> {
             turn: 0,
         }
     }
-}
-
-fn with_deltas<'a>(candidates: &'a [Candidate], deltas: &[i64]) -> Vec<(&'a Candidate, i64)> {
-    candidates.iter().zip(deltas.iter().copied()).collect()
 }

@@ -9,5 +9,5 @@ mod queue;
 #[cfg(test)]
 mod tests;
 
-pub use candidates::{Placements, Rules};
+pub use candidates::Rules;
 pub use driver::{Outcome, Params, Policy, Simplifier, SimplifyError, StoppedBy};

@@ -10,26 +10,38 @@ use std::collections::BTreeSet;
 
 use crate::mesh::EdgeId;
 
+/// How much the key of an edge is worth.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Standing {
+    /// Its neighbourhood has changed since.
+    Stale,
+    /// It is that of the memoryless optimum.
+    Judged,
+    /// It is that of the best place that a search has found.
+    Searched,
+}
+
 /// Collapse candidates, least change of energy first.
 #[derive(Clone, Debug, Default)]
 pub struct Queue {
     order: BTreeSet<(i64, u32)>,
     keys: Vec<Option<i64>>,
-    stale: Vec<bool>,
+    standings: Vec<Standing>,
 }
 
 impl Queue {
     /// An empty queue for edges below `n_slots`.
     pub fn new(n_slots: usize) -> Self {
-        Self { order: BTreeSet::new(), keys: vec![None; n_slots], stale: vec![false; n_slots] }
+        let (keys, standings) = (vec![None; n_slots], vec![Standing::Stale; n_slots]);
+        Self { order: BTreeSet::new(), keys, standings }
     }
 
-    /// Enters or moves an edge with an up-to-date key.
-    pub fn set(&mut self, edge: EdgeId, key: i64) {
+    /// Enters or moves an edge.
+    pub fn set(&mut self, edge: EdgeId, key: i64, standing: Standing) {
         self.remove(edge);
         self.order.insert((key, edge.0));
         self.keys[edge.index()] = Some(key);
-        self.stale[edge.index()] = false;
+        self.standings[edge.index()] = standing;
     }
 
     /// Takes an edge out.
@@ -43,45 +55,50 @@ impl Queue {
     /// is judged next.
     pub fn mark_stale(&mut self, edge: EdgeId) {
         if self.keys[edge.index()].is_none() {
-            self.set(edge, i64::MIN);
+            self.set(edge, i64::MIN, Standing::Stale);
         }
-        self.stale[edge.index()] = true;
+        self.standings[edge.index()] = Standing::Stale;
     }
 
-    /// The first edge, and whether it is up to date.
-    pub fn first(&self) -> Option<(EdgeId, bool)> {
+    /// The first edge.
+    pub fn first(&self) -> Option<(EdgeId, Standing)> {
         let (_, edge) = self.order.first()?;
-        Some((EdgeId(*edge), !self.stale[*edge as usize]))
+        Some((EdgeId(*edge), self.standings[*edge as usize]))
     }
 
-    /// The first `n` stale edges among the first `reach` of the queue.
-    pub fn first_stale(&self, n: usize, reach: usize) -> Vec<EdgeId> {
-        let is_stale = |e: &u32| self.stale[*e as usize];
+    /// The first `n` edges of a standing among the first `reach` of the queue.
+    pub fn first_of(&self, standing: Standing, n: usize, reach: usize) -> Vec<EdgeId> {
+        let is_one = |e: &u32| self.standings[*e as usize] == standing;
         let ids = self.order.iter().take(reach).map(|(_, e)| *e);
-        ids.filter(is_stale).take(n).map(EdgeId).collect()
+        ids.filter(is_one).take(n).map(EdgeId).collect()
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use super::{
+        Standing::{Judged, Searched, Stale},
+        *,
+    };
 
     #[test]
     fn ties_fall_to_the_lower_id_and_stale_edges_keep_their_place() {
         let mut q = Queue::new(4);
-        q.set(EdgeId(2), 5);
-        q.set(EdgeId(1), 5);
-        q.set(EdgeId(0), 9);
-        assert_eq!(q.first(), Some((EdgeId(1), true)));
+        q.set(EdgeId(2), 5, Judged);
+        q.set(EdgeId(1), 5, Judged);
+        q.set(EdgeId(0), 9, Searched);
+        assert_eq!(q.first(), Some((EdgeId(1), Judged)));
         q.mark_stale(EdgeId(1));
-        assert_eq!(q.first(), Some((EdgeId(1), false)));
-        assert_eq!(q.first_stale(8, 8), [EdgeId(1)]);
-        q.set(EdgeId(1), 100);
-        assert_eq!(q.first(), Some((EdgeId(2), true)));
+        assert_eq!(q.first(), Some((EdgeId(1), Stale)));
+        assert_eq!(q.first_of(Stale, 8, 8), [EdgeId(1)]);
+        assert_eq!(q.first_of(Searched, 8, 2), []);
+        assert_eq!(q.first_of(Searched, 8, 3), [EdgeId(0)]);
+        q.set(EdgeId(1), 100, Searched);
+        assert_eq!(q.first(), Some((EdgeId(2), Judged)));
         // An edge that was dropped comes back at the front, to be judged again.
         q.mark_stale(EdgeId(3));
-        assert_eq!(q.first(), Some((EdgeId(3), false)));
+        assert_eq!(q.first(), Some((EdgeId(3), Stale)));
         q.remove(EdgeId(3));
-        assert_eq!(q.first(), Some((EdgeId(2), true)));
+        assert_eq!(q.first(), Some((EdgeId(2), Judged)));
     }
 }

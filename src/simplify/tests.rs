@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 
 use glam::DVec3;
 
-use super::{Outcome, Params, Placements, Policy, Rules, Simplifier, StoppedBy};
+use super::{Outcome, Params, Policy, Rules, Simplifier, StoppedBy};
 use crate::{
     memoryless,
     mesh::{EditMesh, Mesh, Step, Topology},
@@ -80,12 +80,9 @@ fn run(policy: Policy, target: usize, max_evaluations: u64) -> (Outcome, f64, u6
     let mut objective = Objective::new(&mesh, scene, Box::new(twin));
     let params = Params {
         policy,
-        rules: Rules {
-            placements: Placements::OptimumMidpointEnds,
-            topology: Topology::Preserve,
-            memoryless: memoryless::Params::default(),
-        },
+        rules: Rules { topology: Topology::Preserve, memoryless: memoryless::Params::default() },
         batch: 8,
+        ahead: 4,
         search_rounds: 2,
         max_evaluations,
     };

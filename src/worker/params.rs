@@ -12,7 +12,7 @@ use crate::{
         self, RenderParams,
         view::{self, ViewParams, cameras, directions},
     },
-    simplify::{self, Placements, Policy, Rules},
+    simplify::{self, Policy, Rules},
 };
 
 use super::budget::Budget;
@@ -39,15 +39,16 @@ const BATCH: usize = 32;
 
 /// Image-driven parameters: what each effort means.
 pub fn image(spec: &Spec) -> simplify::Params {
-    let (policy, placements, search_rounds) = match spec.effort {
-        Effort::Fast => (Policy::Lazy, Placements::Optimum, 3),
-        Effort::Balanced => (Policy::Eager, Placements::Optimum, 5),
-        Effort::Best => (Policy::Eager, Placements::OptimumMidpointEnds, 8),
+    let (policy, ahead, search_rounds) = match spec.effort {
+        Effort::Fast => (Policy::Lazy, 1, 3),
+        Effort::Balanced => (Policy::Eager, 1, 5),
+        Effort::Best => (Policy::Eager, 128, 8),
     };
     simplify::Params {
         policy,
-        rules: Rules { placements, topology: topology(spec), memoryless: memoryless(spec) },
+        rules: Rules { topology: topology(spec), memoryless: memoryless(spec) },
         batch: BATCH,
+        ahead,
         search_rounds,
         max_evaluations: spec.max_evaluations,
     }
