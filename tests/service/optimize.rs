@@ -21,7 +21,7 @@ use crate::support::{Server, ended, job_spec, log, small_torus, state, torus, up
 /// Of the small torus, with a coarser torus in its place.
 fn request(original: &str, simplified: &str) -> v1::CreateJobRequest {
     let input = Input { mesh: mesh_hash(simplified), file_name: "crude.ply".into() };
-    let optimize = Optimize { max_evaluations: Some(4000), ..Optimize::default() };
+    let optimize = Optimize { max_evaluations: Some(12_000), ..Optimize::default() };
     let spec = Spec { render: job_spec().render, optimize, ..Spec::optimizing(input) };
     v1::CreateJobRequest {
         request_id: String::new(),
@@ -55,7 +55,7 @@ async fn a_mesh_from_elsewhere_is_optimized() {
     for (out, remote) in [(&here, false), (&there, true)] {
         let out = out.display().to_string();
         let mut flags = vec![&*file, &crude, "--out", &out, "--device=cpu", "--views=12"];
-        flags.extend(["--image-size=128", "--optimize-evaluations=4000"]);
+        flags.extend(["--image-size=128", "--optimize-evaluations=12000"]);
         flags.extend(remote.then_some("--remote"));
         let output = server.run("optimize", &flags);
         assert!(output.status.success(), "{output:?}");
