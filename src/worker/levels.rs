@@ -3,7 +3,10 @@
 use serde::Serialize;
 
 use crate::{
-    jobs::{event::MoveCount, spec::Spec},
+    jobs::{
+        event::MoveCount,
+        spec::{Spec, Topology},
+    },
     memoryless,
     mesh::{EditMesh, Mesh},
     optimize, simplify,
@@ -168,6 +171,28 @@ impl Levels {
                 self.n_original
             );
             recorder.note("TARGET_NOT_BELOW_INPUT", &text)?;
+        }
+        Ok(())
+    }
+
+    /// Says which levels have more triangles than asked for, why, and what may help.
+    pub fn explain(&self, spec: &Spec, recorder: &mut Recorder<'_>) -> Result<(), PipelineError> {
+        for level in self.done.iter().filter(|l| l.mesh.faces.len() > l.target) {
+            let why = match (level.stopped_by, spec.topology) {
+                (StoppedBy::NoLegalCollapse, Topology::Preserve) => {
+                    "no collapse is left that keeps its parts and holes; ask for more, or for free \
+                     topology"
+                }
+                (StoppedBy::NoLegalCollapse, Topology::Free) => {
+                    "no collapse is left that leaves a triangle"
+                }
+                (StoppedBy::Evaluations, _) => "the evaluations allowed are spent; allow more",
+                (StoppedBy::Seconds, _) => "the seconds allowed are over; allow more",
+                _ => continue,
+            };
+            let (name, target, n) = (level.name(), level.target, level.mesh.faces.len());
+            let text = format!("{name}: {target} triangles were asked for, {n} are left: {why}");
+            recorder.note("TARGET_NOT_REACHED", &text)?;
         }
         Ok(())
     }

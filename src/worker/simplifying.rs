@@ -54,6 +54,7 @@ pub(super) fn run(
         figures.push(image_stage(job, &mut mesh, &mut levels, recorder)?);
     }
     levels.close(&mesh, recorder);
+    levels.explain(spec, recorder)?;
     Ok(levels)
 }
 
@@ -63,6 +64,10 @@ fn given(
     mesh: &EditMesh,
     recorder: &mut Recorder<'_>,
 ) -> Result<Levels, PipelineError> {
+    if mesh.n_faces() == 0 {
+        let text = "clustering to so few triangles leaves none: ask for more".to_owned();
+        return Err(PipelineError::Job { code: "NOTHING_LEFT", text });
+    }
     let n_original = job.original.faces.len();
     let mut levels = match job.spec.simplified {
         Some(_) => Levels::of_simplified(mesh.n_faces(), n_original),

@@ -63,6 +63,16 @@ fn a_target_out_of_reach_stops_with_the_reason() {
     let level = done.report()["levels"][0].clone();
     assert_eq!(level["stopped_by"], "no_legal_collapse");
     assert_eq!(level["triangles"], 4);
+    assert!(done.has_note("TARGET_NOT_REACHED"), "{:?}", done.notes);
+}
+
+#[test]
+fn clustering_that_leaves_nothing_says_so() {
+    let tetrahedron = obj("f 1 2 5\nf 2 4 5\nf 4 1 5\nf 1 4 2\n");
+    let spec = Spec { method: Method::Cluster, ..Spec::new(vec![1]) };
+    let done = job(&spec, "tetrahedron.obj", &tetrahedron, "cpu");
+    let Err(PipelineError::Job { code, .. }) = &done.result else { panic!("{:?}", done.result) };
+    assert_eq!(*code, "NOTHING_LEFT");
 }
 
 #[test]
@@ -72,6 +82,7 @@ fn a_spent_budget_stops_with_the_reason_and_keeps_what_there_is() {
     assert!(done.result.is_ok(), "{:?}", done.result);
     let report = done.report();
     assert_eq!(report["levels"][1]["stopped_by"], "evaluations");
+    assert!(done.has_note("TARGET_NOT_REACHED"), "{:?}", done.notes);
     for level in ["lod-0.glb", "lod-1.glb"] {
         assert!(read(level, &done.files[level], &Limits::default()).is_ok());
     }

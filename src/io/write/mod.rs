@@ -27,7 +27,7 @@ fn check(format: &'static str, mesh: &Mesh) -> Result<(), IoError> {
         return Err(bad("a triangle names a vertex that is not there"));
     }
     if mesh.positions.iter().any(|p| !p.as_vec3().is_finite()) {
-        return Err(bad("a position is not finite in single precision"));
+        return Err(bad("a position is beyond single precision; scale the model down"));
     }
     let n_wedges = mesh.n_wedges();
     if mesh.layers.iter().any(|l| l.width == 0 || l.values.len() != n_wedges * l.width) {
