@@ -35,7 +35,7 @@ unit:
 	deploy/setup.sh test
 	INSTA_CI=1 $(CARGO) test --release
 
-python: $(VENV)/installed
+python: build $(VENV)/installed
 	LOOKALIKE_BIN=$(CURDIR)/target/release/lookalike $(VENV)/bin/python -m pytest -q clients/python/tests
 	LOOKALIKE_BIN=$(CURDIR)/target/release/lookalike $(VENV)/bin/python -m pytest -q loadtest
 
