@@ -20,6 +20,8 @@
 
 #![allow(clippy::expect_used, reason = "a benchmark fails by panicking")]
 
+mod support;
+
 use std::{fs, hint::black_box, ops::ControlFlow, time::Instant};
 
 use criterion::Criterion;
@@ -33,6 +35,8 @@ use lookalike::{
         view::{Projection, ViewParams, cameras, directions},
     },
 };
+
+use support::cpu_seconds;
 
 /// Triangles to measure at.
 const SIZES: [(&str, u32); 2] = [("6.4k", 6444), ("1.3k", 1336)];
@@ -133,16 +137,6 @@ fn commit_times(label: &str, evaluator: &mut dyn Evaluator, scene: &Scene, moves
         cpu / n * 1e6,
         wall / n * 1e6
     );
-}
-
-/// Processor time of all threads of this process so far.
-fn cpu_seconds() -> f64 {
-    let Ok(tasks) = fs::read_dir("/proc/self/task") else { return 0.0 };
-    tasks
-        .filter_map(|task| fs::read_to_string(task.ok()?.path().join("schedstat")).ok())
-        .filter_map(|stat| stat.split(' ').next()?.parse::<f64>().ok())
-        .sum::<f64>()
-        / 1e9
 }
 
 /// Bytes per second of a large copy, counting reads and writes.

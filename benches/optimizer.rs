@@ -24,6 +24,8 @@
 
 #![allow(clippy::expect_used, clippy::panic, reason = "a benchmark fails by panicking")]
 
+mod support;
+
 use std::{
     collections::BTreeMap,
     env, fs,
@@ -41,8 +43,8 @@ use lookalike::{
     cluster, compare, io, memoryless,
     mesh::{EditMesh, Mesh, MoveCount, Step, Topology},
     metric::{
-        Objective, Pictures, ViewSet, bounding_sphere, reference_pictures, scene_of_edit_mesh,
-        scene_with_normals, with_vertex_normals,
+        Objective, Pictures, ViewSet, bounding_sphere, reference_pictures, scene_as_drawn,
+        scene_of_edit_mesh, with_vertex_normals,
     },
     optimize::{OptimizeError, Optimizer, Outcome, Params, Solver, Turns, alternate},
     render::{
@@ -51,6 +53,8 @@ use lookalike::{
     },
     simplify::{self, Policy, Rules, Simplifier},
 };
+
+use support::cpu_seconds;
 
 fn main() {
     let options = Options::read();
@@ -237,11 +241,7 @@ impl<'m> Stage<'m> {
     }
 
     fn shown(&self, mesh: &EditMesh, set: &ViewSet) -> Objective {
-        let scene = if self.has_normals {
-            scene_with_normals(mesh, &set.pictures)
-        } else {
-            scene_of_edit_mesh(mesh, &set.pictures)
-        };
+        let scene = scene_as_drawn(mesh, &set.pictures, self.has_normals);
         let reference = set.reference.clone();
         let inner = make_evaluator("cpu", &scene, reference.clone()).expect("the twin");
         let timed = Box::new(Timed { inner, spent: Arc::clone(&self.spent) });
@@ -418,16 +418,6 @@ fn boundary_edges(mesh: &EditMesh) -> usize {
         [[a, b], [b, c], [c, a]]
     });
     edges.filter(|[a, b]| mesh.is_boundary_edge(*a, *b)).count()
-}
-
-/// Processor time of all threads of this process so far.
-fn cpu_seconds() -> f64 {
-    let Ok(tasks) = fs::read_dir("/proc/self/task") else { return 0.0 };
-    tasks
-        .filter_map(|task| fs::read_to_string(task.ok()?.path().join("schedstat")).ok())
-        .filter_map(|stat| stat.split(' ').next()?.parse::<f64>().ok())
-        .sum::<f64>()
-        / 1e9
 }
 
 fn model(name: &str) -> Option<Mesh> {

@@ -195,6 +195,13 @@ impl EditMesh {
         out.extend(self.neighbours_if(vertex, |_| true));
     }
 
+    /// The mean length of the edges at a vertex; 0 where there are none.
+    pub fn mean_edge_length(&self, vertex: VertexId) -> f64 {
+        let (at, ring) = (self.position(vertex), self.neighbours_if(vertex, |_| true));
+        let sum: f64 = ring.iter().map(|w| at.distance(self.position(*w))).sum();
+        sum / ring.len().max(1) as f64
+    }
+
     /// Whether the edge has exactly one triangle.
     pub fn is_boundary_edge(&self, a: VertexId, b: VertexId) -> bool {
         self.edge_faces(a, b).len() == 1

@@ -18,7 +18,7 @@ mod template_tests;
 
 pub use albedo::Albedo;
 pub use objective::{
-    Objective, Pictures, ViewSet, bounding_sphere, d2_percent, reference_pictures,
+    Objective, Pictures, ViewSet, bounding_sphere, d2_percent, reference_pictures, scene_as_drawn,
     scene_of_edit_mesh, scene_with_normals, stored_normal, with_vertex_normals,
 };
 pub use slopes::{Slope, Slopes, slopes};

@@ -115,6 +115,15 @@ pub fn scene_with_normals(mesh: &EditMesh, pictures: &Pictures) -> Scene {
     scene
 }
 
+/// A mesh as it is drawn: with normals of its own, or with those of its triangles.
+pub fn scene_as_drawn(mesh: &EditMesh, pictures: &Pictures, has_own_normals: bool) -> Scene {
+    if has_own_normals {
+        scene_with_normals(mesh, pictures)
+    } else {
+        scene_of_edit_mesh(mesh, pictures)
+    }
+}
+
 /// The mean of the normals stored at the corners of a vertex.
 pub fn stored_normal(mesh: &EditMesh, vertex: VertexId) -> Option<DVec3> {
     let layer = mesh.mesh().layer(Semantic::Normal)?;
@@ -238,11 +247,6 @@ impl Objective {
     /// The papers' d2 on the run-time views: percent of full scale.
     pub fn d2_percent(&self) -> f64 {
         d2_percent(self.energy(), self.scene.n_pixels())
-    }
-
-    /// Who judges.
-    pub fn evaluator_name(&self) -> String {
-        self.evaluator.name()
     }
 
     /// The change of energy of each move.

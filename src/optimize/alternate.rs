@@ -25,7 +25,7 @@ use std::ops::ControlFlow;
 
 use crate::{
     mesh::{EditMesh, Sample, Stage, Step},
-    metric::{Objective, ViewSet},
+    metric::{Objective, ViewSet, d2_percent},
 };
 
 use super::{
@@ -62,7 +62,8 @@ pub fn alternate<E: From<OptimizeError>>(
 ) -> Result<Outcome, E> {
     let mut run = Alternation::new(&show(0, mesh)?, params, turns, sets);
     let mut flow = run.sample(mesh, 0, on);
-    while let (ControlFlow::Continue(()), Some(turn)) = (flow, run.next_turn(mesh)) {
+    while flow.is_continue() {
+        let Some(turn) = run.next_turn(mesh) else { break };
         flow = run.descend(mesh, turn.n_steps, on);
         if flow.is_continue() {
             flow = run.make_moves(mesh, &turn, &mut show(turn.set, mesh)?, on)?;
@@ -71,7 +72,7 @@ pub fn alternate<E: From<OptimizeError>>(
     if flow.is_continue() {
         flow = run.descend(mesh, run.affordable(mesh), on);
     }
-    run.see(&show(0, mesh)?);
+    run.outcome.energy_after = show(0, mesh)?.energy();
     if flow.is_break() || run.sample(mesh, run.n_turns + 1, on).is_break() {
         run.outcome.stopped_by = StoppedBy::Caller;
     }
@@ -96,7 +97,8 @@ struct Alternation<'a> {
     n_steps: usize,
     has_own_normals: bool,
     memory: Option<Memory>,
-    d2: f64,
+    /// In the views that count.
+    n_pixels: u64,
     outcome: Outcome,
 }
 
@@ -118,15 +120,9 @@ impl<'a> Alternation<'a> {
             n_steps: 0,
             has_own_normals: objective.has_own_normals(),
             memory: None,
-            d2: objective.d2_percent(),
+            n_pixels: objective.scene().n_pixels(),
             outcome,
         }
-    }
-
-    /// Notes what the mesh looks like now in the views that count.
-    fn see(&mut self, objective: &Objective) {
-        self.d2 = objective.d2_percent();
-        self.outcome.energy_after = objective.energy();
     }
 
     /// A point of the energy curve between turns.
@@ -141,7 +137,7 @@ impl<'a> Alternation<'a> {
             evaluations: self.outcome.evaluations,
             triangles: mesh.n_faces() as u32,
             energy: Some(self.outcome.energy_after),
-            d2: Some(self.d2),
+            d2: Some(d2_percent(self.outcome.energy_after, self.n_pixels)),
             turn: turn as u32,
         }))
     }

@@ -15,9 +15,7 @@ use glam::{DMat3, DVec3};
 
 use crate::{
     mesh::{EditMesh, EditRecord, Semantic, VertexId},
-    metric::{
-        Slope, Slopes, ViewSet, scene_of_edit_mesh, scene_with_normals, slopes, stored_normal,
-    },
+    metric::{Slope, Slopes, ViewSet, scene_as_drawn, slopes, stored_normal},
     render::Scene,
 };
 
@@ -67,11 +65,7 @@ pub fn descend(
     on_step: &mut dyn FnMut(usize) -> ControlFlow<()>,
 ) -> ControlFlow<(), Vec<EditRecord>> {
     let set = |k: usize| &sets[(first + k) % sets.len()];
-    let mut scene = if unknowns.has_own_normals {
-        scene_with_normals(mesh, &set(0).pictures)
-    } else {
-        scene_of_edit_mesh(mesh, &set(0).pictures)
-    };
+    let mut scene = scene_as_drawn(mesh, &set(0).pictures, unknowns.has_own_normals);
     let mut walk = Walk::new(mesh, unknowns, n_steps);
     let n_judges = JUDGED_PIXELS.div_ceil(scene.n_pixels().max(1)).min(sets.len() as u64) as usize;
     let judge = |walk: &Walk, scene: &mut Scene| -> f64 {
@@ -112,15 +106,12 @@ struct Particle {
 impl Walk {
     fn new(mesh: &EditMesh, unknowns: Unknowns, n_steps: usize) -> Self {
         let slots = || (0..mesh.n_vertex_slots() as u32).map(VertexId);
-        let mut ring = Vec::new();
-        let mut place = |v: VertexId| {
-            if !mesh.is_used(v) {
-                return Particle::default();
+        let place = |v| {
+            if mesh.is_used(v) {
+                Particle::new(mesh.position(v), LONGEST_STEP * mesh.mean_edge_length(v))
+            } else {
+                Particle::default()
             }
-            mesh.neighbours(v, &mut ring);
-            let at = mesh.position(v);
-            let sum: f64 = ring.iter().map(|w| at.distance(mesh.position(*w))).sum();
-            Particle::new(at, LONGEST_STEP * sum / ring.len().max(1) as f64)
         };
         let normal = |v| match stored_normal(mesh, v) {
             Some(normal) if mesh.is_used(v) => Particle::new(normal, LONGEST_TURN),
@@ -129,7 +120,7 @@ impl Walk {
         let n_normals = if unknowns.normals { usize::MAX } else { 0 };
         Self {
             n_steps,
-            places: slots().map(&mut place).collect(),
+            places: slots().map(place).collect(),
             normals: slots().take(n_normals).map(normal).collect(),
         }
     }

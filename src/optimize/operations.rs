@@ -303,21 +303,12 @@ impl Proposer<'_> {
             _ => {
                 let adapted = self.steps.get(f.vertex.index()).copied();
                 let share = if operation.kind == Kind::NoOp { adapted } else { None };
-                share.unwrap_or(self.params.delta) * self.mean_edge(f.vertex)
+                share.unwrap_or(self.params.delta) * self.mesh.mean_edge_length(f.vertex)
             }
         };
         let places = free.iter().enumerate().flat_map(|f| [of(f); 3]);
         let normals = free.iter().filter(|_| has_normals);
         places.chain(normals.flat_map(|f| [self.normal_step(f); 3])).collect()
-    }
-
-    /// The mean length of the edges at a vertex.
-    fn mean_edge(&self, v: VertexId) -> f64 {
-        let mut ring = Vec::new();
-        self.mesh.neighbours(v, &mut ring);
-        let sum: f64 =
-            ring.iter().map(|w| self.mesh.position(v).distance(self.mesh.position(*w))).sum();
-        sum / ring.len().max(1) as f64
     }
 
     /// A share of the mean difference to the neighbours' normals.

@@ -7,8 +7,8 @@ use crate::{
     memoryless,
     mesh::{EditMesh, Mesh, Sample, Semantic, Step, shapes},
     metric::{
-        Objective, Pictures, ViewSet, bounding_sphere, reference_pictures, scene_of_edit_mesh,
-        scene_with_normals, with_vertex_normals,
+        Objective, Pictures, ViewSet, bounding_sphere, reference_pictures, scene_as_drawn,
+        with_vertex_normals,
     },
     render::{
         RenderParams, Shading, Twin,
@@ -46,11 +46,7 @@ fn pictures(original: &Mesh, shading: Shading) -> Pictures {
 
 fn show(original: &Mesh, pictures: &Pictures, mesh: &EditMesh, has_normals: bool) -> Objective {
     let reference = reference_pictures(original, pictures);
-    let scene = if has_normals {
-        scene_with_normals(mesh, pictures)
-    } else {
-        scene_of_edit_mesh(mesh, pictures)
-    };
+    let scene = scene_as_drawn(mesh, pictures, has_normals);
     let twin = Twin::new(&scene, &reference);
     let objective = Objective::new(mesh, scene, Box::new(twin)).with_reference(reference);
     if has_normals { objective.with_own_normals() } else { objective }

@@ -4,6 +4,7 @@ use std::time::Instant;
 
 use crate::{
     mesh::{EditMesh, Stage, Step},
+    metric::d2_percent,
     optimize::{Optimizer, Outcome, alternate},
 };
 
@@ -62,15 +63,14 @@ fn optimize<'j>(
     let begun = (level.mesh.clone(), editable(&level.mesh)?);
     let branch =
         Branch::new(level.index as u32, begun, critic, budget, (figures.evaluations, span));
-    // The first objective of a job chooses the device.
-    figures.start(&job.studio().objective(&mesh, recorder)?.evaluator_name());
+    figures.start(&job.studio().evaluator(&mesh, recorder)?);
     recorder.begin_branch(&level.name(), branch)?;
     let outcome = optimize_mesh(job, &mut mesh, &budget, recorder)?;
     if !recorder.is_out_of_time() {
         recorder.check()?;
     }
-    let objective = job.studio().objective(&mesh, recorder)?;
-    let (energy, d2) = (objective.energy(), objective.d2_percent());
+    let energy = outcome.energy_after;
+    let d2 = d2_percent(energy, params::n_pixels(job.spec) as u64);
     let (branch, edits) = recorder.end_branch(energy, d2)?;
     figures.evaluations += outcome.evaluations;
     figures.edits += u64::from(edits);
@@ -81,7 +81,7 @@ fn optimize<'j>(
         seconds: start.elapsed().as_secs_f64(),
         edits,
         d2_unseen_percent: branch.and_then(|b| b.d2_unseen),
-        ..optimized(&Outcome { energy_after: energy, ..outcome })
+        ..optimized(&outcome)
     });
     Ok(())
 }
@@ -102,11 +102,11 @@ fn optimize_mesh(
         recorder.check()?;
         studio.add_set();
     }
-    let (studio, sets) = (&*studio, studio.sets());
-    let mut show = |set: usize, mesh: &EditMesh| Ok(studio.show(&sets[set], mesh)?);
+    let studio = &*studio;
+    let mut show = |set: usize, mesh: &EditMesh| Ok(studio.show(set, mesh)?);
     let mut on = |step: Step<'_>| recorder.step(&step);
     if let Some(turns) = turns {
-        return alternate(mesh, &params, turns, sets, &mut show, &mut on);
+        return alternate(mesh, &params, turns, studio.sets(), &mut show, &mut on);
     }
     let mut objective = show(0, mesh)?;
     Ok(Optimizer::new(mesh, &mut objective, params).run(&mut on)?)

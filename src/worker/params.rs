@@ -86,11 +86,13 @@ const TURNS_FROM_PIXELS: u64 = 512;
 /// Bunny from memoryless simplification to 1,336 triangles, unseen d2 as a share of the start: at 40
 /// evaluations a triangle .832 with 6 sets and .839 with 16 and longer descents, at 200 .802 with 8 and
 /// .798 with 16. Drawing 16 sets of a model of 70,000 triangles takes two seconds.
-const VIEW_SETS: [(Effort, usize, [usize; 3]); 3] = [
-    (Effort::Fast, 6, [24, 24, 24]),
-    (Effort::Balanced, 16, [48, 24, 48]),
-    (Effort::Best, 16, [48, 24, 48]),
-];
+fn view_sets(effort: Effort) -> (usize, [usize; 3]) {
+    match effort {
+        Effort::Fast => (6, [24, 24, 24]),
+        Effort::Balanced | Effort::Best => (16, [48, 24, 48]),
+    }
+}
+
 /// Most bytes of the original's pictures in all view sets.
 const VIEW_SET_BYTES: usize = 128 << 20;
 
@@ -99,21 +101,17 @@ const VIEW_SET_BYTES: usize = 128 << 20;
 pub fn turns(spec: &Spec, budget: &Budget, n_faces: usize) -> Option<optimize::Turns> {
     let n = n_faces as u64;
     let pays = budget.until.is_none() && n_pixels(spec) as u64 >= TURNS_FROM_PIXELS * n;
-    let (_, steps) = view_sets(spec);
+    let (_, steps) = view_sets(spec.effort);
     pays.then_some(optimize::Turns { evaluations: 20 * n, n_others: 3, steps })
 }
 
 /// Number of view sets, the run-time views among them.
 pub fn n_view_sets(spec: &Spec) -> usize {
-    (VIEW_SET_BYTES / n_pixels(spec).max(1)).clamp(2, view_sets(spec).0)
+    (VIEW_SET_BYTES / n_pixels(spec).max(1)).clamp(2, view_sets(spec.effort).0)
 }
 
-fn view_sets(spec: &Spec) -> (usize, [usize; 3]) {
-    let row = VIEW_SETS.iter().find(|row| row.0 == spec.effort);
-    row.map_or((1, [0; 3]), |row| (row.1, row.2))
-}
-
-fn n_pixels(spec: &Spec) -> usize {
+/// Pixels of all run-time views.
+pub fn n_pixels(spec: &Spec) -> usize {
     spec.render.view_count() * (spec.render.image_size as usize).pow(2)
 }
 

@@ -5,10 +5,8 @@ use glam::DVec3;
 use crate::{
     jobs::spec::Spec,
     mesh::{EditMesh, Mesh},
-    metric::{
-        Objective, Pictures, ViewSet, bounding_sphere, scene_of_edit_mesh, scene_with_normals,
-    },
-    render::{Reference, RenderError, choose},
+    metric::{Objective, Pictures, ViewSet, bounding_sphere, scene_as_drawn},
+    render::{RenderError, Scene, choose},
 };
 
 use super::{
@@ -28,7 +26,8 @@ pub(super) struct Studio<'m> {
     sets: Vec<ViewSet>,
     /// As asked for; once it was measured, the one that was fastest.
     device: String,
-    has_chosen: bool,
+    /// What the fastest calls itself, once it was measured.
+    evaluator: Option<String>,
     has_own_normals: bool,
 }
 
@@ -42,7 +41,7 @@ impl<'m> Studio<'m> {
             center,
             sets: vec![ViewSet::turned(original, &pictures, center, 0)],
             device: device.0.clone(),
-            has_chosen: false,
+            evaluator: None,
             has_own_normals: false,
         }
     }
@@ -63,19 +62,17 @@ impl<'m> Studio<'m> {
         self.sets.push(ViewSet::turned(self.original, base, self.center, turn));
     }
 
-    /// Draws a mesh in the run-time views, and tells which device was chosen when that is new.
-    pub fn objective(
+    /// Who computes: measured with this mesh, and told, when it is first asked.
+    pub fn evaluator(
         &mut self,
         mesh: &EditMesh,
         recorder: &mut Recorder<'_>,
-    ) -> Result<Objective, PipelineError> {
-        let set = &self.sets[0];
-        if self.has_chosen {
-            return Ok(self.show(set, mesh)?);
+    ) -> Result<String, PipelineError> {
+        if let Some(name) = &self.evaluator {
+            return Ok(name.clone());
         }
-        let scene = self.scene(mesh, &set.pictures);
-        let choice = choose(&self.device, &scene, set.reference.clone())?;
-        let name = choice.evaluator.name();
+        let set = &self.sets[0];
+        let choice = choose(&self.device, &self.scene(mesh, &set.pictures), set.reference.clone())?;
         for (name, evaluations_per_sec) in &choice.figures {
             let text = format!("{name}: {evaluations_per_sec:.0} evaluations/s");
             recorder.note("DEVICE_MEASURED", &text)?;
@@ -83,32 +80,24 @@ impl<'m> Studio<'m> {
         for note in &choice.notes {
             recorder.note("DEVICE_NOTE", note)?;
         }
+        let name = choice.evaluator.name();
         recorder.note("DEVICE_CHOSEN", &name)?;
+        self.device = if name == TWIN.1 { TWIN.0.into() } else { name.clone() };
+        self.evaluator = Some(name.clone());
+        Ok(name)
+    }
+
+    /// Draws a mesh in a view set; number 0 is the run-time views.
+    pub fn show(&self, set: usize, mesh: &EditMesh) -> Result<Objective, RenderError> {
+        let ViewSet { pictures, reference } = &self.sets[set];
+        let scene = self.scene(mesh, pictures);
+        let choice = choose(&self.device, &scene, reference.clone())?;
         let objective = Objective::new(mesh, scene, choice.evaluator);
-        let objective = self.finish(objective, set.reference.clone());
-        self.has_chosen = true;
-        self.device = if name == TWIN.1 { TWIN.0.into() } else { name };
-        Ok(objective)
+        let objective = objective.with_reference(reference.clone());
+        Ok(if self.has_own_normals { objective.with_own_normals() } else { objective })
     }
 
-    /// Draws a mesh in a set of views.
-    pub fn show(&self, set: &ViewSet, mesh: &EditMesh) -> Result<Objective, RenderError> {
-        let scene = self.scene(mesh, &set.pictures);
-        let choice = choose(&self.device, &scene, set.reference.clone())?;
-        let objective = Objective::new(mesh, scene, choice.evaluator);
-        Ok(self.finish(objective, set.reference.clone()))
-    }
-
-    fn scene(&self, mesh: &EditMesh, pictures: &Pictures) -> crate::render::Scene {
-        if self.has_own_normals {
-            scene_with_normals(mesh, pictures)
-        } else {
-            scene_of_edit_mesh(mesh, pictures)
-        }
-    }
-
-    fn finish(&self, objective: Objective, reference: Reference) -> Objective {
-        let objective = objective.with_reference(reference);
-        if self.has_own_normals { objective.with_own_normals() } else { objective }
+    fn scene(&self, mesh: &EditMesh, pictures: &Pictures) -> Scene {
+        scene_as_drawn(mesh, pictures, self.has_own_normals)
     }
 }
