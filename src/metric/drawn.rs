@@ -8,27 +8,29 @@
 use glam::{DVec2, DVec3};
 
 use crate::render::{
-    Scene, SceneFace, Shading, for_each_pixel,
-    lattice::DEPTH_BITS,
+    Scene, SceneFace, Shading, for_each_run, for_each_setup,
+    lattice::{DEPTH_BITS, Setup},
     view::{Projection, View},
 };
 
-use super::slopes::{Slope, Slopes};
+use super::slopes::Slopes;
 
 /// No triangle: the background.
-const NOTHING: u64 = u64::MAX;
+const NOTHING: u32 = u32::MAX;
 
 /// See the module.
 pub struct Drawn<'s> {
     scene: &'s Scene,
     view: usize,
     size: usize,
-    /// Where each vertex slot is drawn, in pixels from the upper left corner.
-    points: Vec<DVec2>,
-    /// Depth and triangle, or [`NOTHING`].
-    keys: Vec<u64>,
+    /// By pixel: the triangle seen there, or [`NOTHING`].
+    ids: Vec<u32>,
+    /// By pixel: how far away it is.
+    depths: Vec<i32>,
     /// By triangle.
     shades: Vec<Shade>,
+    /// By triangle.
+    sides: Vec<[Side; 3]>,
 }
 
 /// How a triangle is lit.
@@ -52,82 +54,142 @@ struct Seen {
     /// The same, weighted by the corners' shares; and the sums of the squares of these.
     off_by_share: [f64; 3],
     squares: [f64; 3],
+    /// What changes as the ends of its sides move along the sides' axes: slopes and bends.
+    sides: [[[f64; 2]; 2]; 3],
 }
 
 impl<'s> Drawn<'s> {
     /// Draws one view.
     pub fn new(scene: &'s Scene, view: usize) -> Self {
         let size = scene.lattice.size as usize;
-        let mut keys = vec![NOTHING; size * size];
-        let mut shades = vec![Shade::default(); scene.faces.len()];
-        let points_on_picture: Vec<DVec2> =
+        let points: Vec<DVec2> =
             (0..scene.n_vertex_slots() as u32).map(|v| on_picture(scene, view, v)).collect();
-        for (id, face) in scene.faces.iter().enumerate() {
-            let Some(face) = face else { continue };
-            let points = face.vertices.map(|v| scene.screen_points(v)[view]);
-            let Some(s) = scene.lattice.setup(points, [0; 3], scene.culls_front(view)) else {
-                continue;
-            };
-            let mut is_seen = false;
-            for_each_pixel(&s, |i, j| {
-                let slot = &mut keys[j as usize * size + i as usize];
-                let key = (s.depth.at(i, j, DEPTH_BITS) as u64) << 32 | id as u64;
-                is_seen |= key < *slot;
-                *slot = (*slot).min(key);
-            });
-            if is_seen {
-                shades[id] = Shade::of(scene, view, face, &points_on_picture);
-            }
-        }
-        Self { scene, view, size, points: points_on_picture, keys, shades }
+        let mut this = Self {
+            scene,
+            view,
+            size,
+            ids: vec![NOTHING; size * size],
+            depths: vec![i32::MAX; size * size],
+            shades: vec![Shade::default(); scene.faces.len()],
+            sides: vec![<[Side; 3]>::default(); scene.faces.len()],
+        };
+        for_each_setup(
+            scene,
+            view,
+            |_| true,
+            |id, face, s| {
+                if draw(&mut this.depths, &mut this.ids, size, id, s) {
+                    this.shades[id as usize] = Shade::of(scene, view, face, &points);
+                    this.sides[id as usize] = Side::all(face, &points);
+                }
+            },
+        );
+        this
     }
 
     /// Adds energy and slopes.
     pub fn differentiate(&self, reference: &[u8], sum: &mut Slopes) {
-        let motions: Vec<[DVec3; 2]> = (0..sum.places.len() as u32)
-            .map(|v| motion(&self.scene.views[self.view], self.scene.position(v), self.size as f64))
-            .collect();
-        self.inside(reference, &motions, sum);
-        for j in 0..self.size {
-            for i in 0..self.size {
-                let at = j * self.size + i;
-                if i + 1 < self.size && differ(self.keys[at], self.keys[at + 1]) {
-                    self.across(reference, [at, at + 1], Axis::X, &motions, &mut sum.places);
+        let mut seen = vec![Seen::default(); self.shades.len()];
+        for start in (0..self.ids.len()).step_by(self.size) {
+            let (row, end) = (&self.ids[start..][..self.size], start + self.size);
+            let mut at = start;
+            for run in row.chunk_by(|a, b| a == b) {
+                sum.energy += self.see(run[0], &reference[at..][..run.len()], at, &mut seen);
+                at += run.len();
+                if at < end {
+                    self.across(reference, [at - 1, at], Axis::X, &mut seen);
                 }
-                if j + 1 < self.size && differ(self.keys[at], self.keys[at + self.size]) {
-                    self.across(
-                        reference,
-                        [at, at + self.size],
-                        Axis::Y,
-                        &motions,
-                        &mut sum.places,
-                    );
+            }
+            let below = self.ids.get(end..).unwrap_or_default();
+            for (at, (a, b)) in (start..).zip(row.iter().zip(below)) {
+                if a != b {
+                    self.across(reference, [at, at + self.size], Axis::Y, &mut seen);
+                }
+            }
+        }
+        self.add_up(&seen, sum);
+    }
+
+    /// Adds a run of pixels that show one triangle to what is seen of it; `at` is the first one's
+    /// number. Returns their energy.
+    fn see(&self, id: u32, reference: &[u8], at: usize, seen: &mut [Seen]) -> f64 {
+        if id == NOTHING || self.scene.params.shading == Shading::Flat {
+            let lum = self.luminance(id, at);
+            let n = reference.len() as f64;
+            let sum = f64::from(reference.iter().map(|r| u32::from(*r)).sum::<u32>());
+            let squares = f64::from(reference.iter().map(|r| u32::from(*r).pow(2)).sum::<u32>());
+            if let Some(seen) = seen.get_mut(id as usize) {
+                seen.n += n;
+                seen.off += n * lum - sum;
+            }
+            return n * lum * lum - 2.0 * lum * sum + squares;
+        }
+        let (shade, seen) = (&self.shades[id as usize], &mut seen[id as usize]);
+        let mut energy = 0.0;
+        for (pixel, r) in (at..).zip(reference) {
+            let off = self.luminance(id, pixel) - f64::from(*r);
+            energy += off * off;
+            seen.n += 1.0;
+            for (k, share) in shade.shares_at(pixel, self.size).into_iter().enumerate() {
+                seen.off_by_share[k] += off * share;
+                seen.squares[k] += share * share;
+            }
+        }
+        energy
+    }
+
+    /// Adds what changes where two neighbouring pixels show different triangles.
+    fn across(&self, reference: &[u8], pixels: [usize; 2], axis: Axis, seen: &mut [Seen]) {
+        let Some((id, k, at)) = self.side_between(pixels, axis) else { return };
+        // Both at the edge: smooth surfaces do not jump where two triangles meet.
+        let at_edge = |id| 0.5 * pixels.iter().map(|p| self.luminance(id, *p)).sum::<f64>();
+        let lum = pixels.map(|p| at_edge(self.ids[p]));
+        let square = |l: f64, p: usize| (l - f64::from(reference[p])).powi(2);
+        // As the edge moves on, the first pixel's triangle gains ground from the second's.
+        let change = |p: &usize| square(lum[0], *p) - square(lum[1], *p);
+        let slope = 0.5 * pixels.iter().map(change).sum::<f64>();
+        let bend = 2.0 * (lum[0] - lum[1]).powi(2);
+        let sums = &mut seen[id as usize].sides[k];
+        for (sum, share) in sums.iter_mut().zip([1.0 - at, at]) {
+            sum[0] += slope * share;
+            sum[1] += bend * share * share;
+        }
+    }
+
+    /// The edge that separates two neighbouring pixels, of the nearer triangle first: the triangle, the
+    /// number of the side, and where along it.
+    fn side_between(&self, pixels: [usize; 2], axis: Axis) -> Option<(u32, usize, f64)> {
+        let keys = pixels.map(|p| (self.depths[p], self.ids[p]));
+        let [nearer, farther] = if keys[0] < keys[1] { keys } else { [keys[1], keys[0]] };
+        let pixel = [pixels[0] % self.size, pixels[0] / self.size].map(|c| c as f64 + 0.5);
+        let from = axis.turned(DVec2::from_array(pixel));
+        [nearer.1, farther.1].into_iter().find_map(|id| {
+            let sides = self.sides.get(id as usize)?;
+            (0..3).find_map(|k| Some((id, k, sides[k].crossing(from, axis)?)))
+        })
+    }
+
+    /// Adds what was seen of every triangle.
+    fn add_up(&self, seen: &[Seen], sum: &mut Slopes) {
+        let (view, size) = (&self.scene.views[self.view], self.size as f64);
+        let motions: Vec<[DVec3; 2]> = (0..sum.places.len() as u32)
+            .map(|v| motion(view, self.scene.position(v), size))
+            .collect();
+        self.inside(seen, &motions, sum);
+        for (sides, seen) in self.sides.iter().zip(seen) {
+            for (side, sums) in sides.iter().zip(seen.sides) {
+                // What was not seen has no part: neither have sides without a length.
+                let ends = side.ends.into_iter().zip(sums).filter(|(_, sums)| *sums != [0.0; 2]);
+                for (v, [slope, bend]) in ends {
+                    let along = side.along(motions[v as usize]);
+                    sum.places[v as usize].add(slope, bend, along);
                 }
             }
         }
     }
 
     /// Adds what changes inside triangles.
-    fn inside(&self, reference: &[u8], motions: &[[DVec3; 2]], sum: &mut Slopes) {
-        let mut seen = vec![Seen::default(); self.shades.len()];
-        for (pixel, r) in reference.iter().enumerate() {
-            let off = self.luminance(pixel) - f64::from(*r);
-            sum.energy += off * off;
-            if self.keys[pixel] == NOTHING {
-                continue;
-            }
-            let face = (self.keys[pixel] as u32) as usize;
-            let seen = &mut seen[face];
-            seen.n += 1.0;
-            seen.off += off;
-            if self.scene.params.shading == Shading::Smooth {
-                let shares = self.shades[face].shares_at(pixel, self.size);
-                for (k, share) in shares.into_iter().enumerate() {
-                    seen.off_by_share[k] += off * share;
-                    seen.squares[k] += share * share;
-                }
-            }
-        }
+    fn inside(&self, seen: &[Seen], motions: &[[DVec3; 2]], sum: &mut Slopes) {
         for ((face, shade), seen) in self.scene.faces.iter().zip(&self.shades).zip(seen) {
             let Some(face) = face.filter(|_| seen.n > 0.0) else { continue };
             match self.scene.params.shading {
@@ -136,22 +198,16 @@ impl<'s> Drawn<'s> {
                         sum.places[*v as usize].add(2.0 * seen.off, 2.0 * seen.n, by);
                     }
                 }
-                Shading::Smooth => smooth_inside(&face, shade, &seen, motions, sum),
+                Shading::Smooth => smooth_inside(&face, shade, seen, motions, sum),
             }
         }
     }
 
-    /// The luminance of a pixel.
-    fn luminance(&self, pixel: usize) -> f64 {
-        self.luminance_of(self.keys[pixel], pixel)
-    }
-
     /// The luminance of a triangle in a pixel, in which another may be seen.
-    fn luminance_of(&self, key: u64, pixel: usize) -> f64 {
-        if key == NOTHING {
+    fn luminance(&self, id: u32, pixel: usize) -> f64 {
+        let Some(shade) = self.shades.get(id as usize) else {
             return f64::from(self.scene.params.background);
-        }
-        let shade = &self.shades[(key as u32) as usize];
+        };
         match self.scene.params.shading {
             Shading::Flat => shade.corners[0],
             Shading::Smooth => {
@@ -162,48 +218,24 @@ impl<'s> Drawn<'s> {
             }
         }
     }
+}
 
-    /// Adds what changes where two neighbouring pixels show different triangles.
-    fn across(
-        &self,
-        reference: &[u8],
-        pixels: [usize; 2],
-        axis: Axis,
-        motions: &[[DVec3; 2]],
-        places: &mut [Slope],
-    ) {
-        let Some(edge) = self.edge_between(pixels, axis) else { return };
-        // Both at the edge: smooth surfaces do not jump where two triangles meet.
-        let at_edge = |key| 0.5 * pixels.iter().map(|p| self.luminance_of(key, *p)).sum::<f64>();
-        let lum = pixels.map(|p| at_edge(self.keys[p]));
-        let square = |l: f64, p: usize| (l - f64::from(reference[p])).powi(2);
-        // As the edge moves on, the first pixel's triangle gains ground from the second's.
-        let change = |p: &usize| square(lum[0], *p) - square(lum[1], *p);
-        let slope = 0.5 * pixels.iter().map(change).sum::<f64>();
-        let bend = 2.0 * (lum[0] - lum[1]).powi(2);
-        for (v, share) in edge.ends.into_iter().zip([1.0 - edge.at, edge.at]) {
-            let [dx, dy] = motions[v as usize];
-            let along = match axis {
-                Axis::X => dx - edge.slant * dy,
-                Axis::Y => dy - edge.slant * dx,
-            };
-            places[v as usize].add(slope, bend, share * along);
+/// Draws a triangle into pictures of depths and ids, those of lower ids drawn. Whether it is seen so far.
+fn draw(depths: &mut [i32], ids: &mut [u32], size: usize, id: u32, s: &Setup) -> bool {
+    let mut is_seen = false;
+    for_each_run(s, |columns, j| {
+        let start = j as usize * size;
+        let run = start + columns.start as usize..start + columns.end as usize;
+        let pixels = depths[run.clone()].iter_mut().zip(&mut ids[run]);
+        for (i, (depth, seen)) in columns.zip(pixels) {
+            let z = s.depth.at(i, j, DEPTH_BITS);
+            let is_nearer = z < *depth;
+            is_seen |= is_nearer;
+            *depth = if is_nearer { z } else { *depth };
+            *seen = if is_nearer { id } else { *seen };
         }
-    }
-
-    /// The edge that separates two neighbouring pixels: of the nearer triangle first.
-    fn edge_between(&self, pixels: [usize; 2], axis: Axis) -> Option<Crossing> {
-        let mut keys = pixels.map(|p| self.keys[p]);
-        keys.sort_unstable();
-        let (x, y) = (pixels[0] % self.size, pixels[0] / self.size);
-        let from = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
-        let of = |key: u64| {
-            let face = self.scene.faces[(key as u32) as usize]?;
-            let corners = face.vertices.map(|v| (v, self.points[v as usize]));
-            (0..3).find_map(|k| crossing(corners[k], corners[(k + 1) % 3], from, axis))
-        };
-        keys.into_iter().filter(|k| *k != NOTHING).find_map(of)
-    }
+    });
+    is_seen
 }
 
 /// Adds what changes inside a triangle with interpolated luminance.
@@ -227,10 +259,6 @@ fn smooth_inside(
     }
 }
 
-fn differ(a: u64, b: u64) -> bool {
-    a as u32 != b as u32
-}
-
 /// Where a vertex is drawn, in pixels from the upper left corner.
 fn on_picture(scene: &Scene, view: usize, v: u32) -> DVec2 {
     let (p, lattice) = (scene.screen_points(v)[view], &scene.lattice);
@@ -240,35 +268,63 @@ fn on_picture(scene: &Scene, view: usize, v: u32) -> DVec2 {
 }
 
 /// The direction from a pixel to its neighbour.
-#[derive(Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, Default, PartialEq, Eq)]
 enum Axis {
+    #[default]
     X,
     Y,
 }
 
-/// Where an edge runs between two pixels.
-struct Crossing {
+impl Axis {
+    /// A point whose `x` runs along the axis.
+    fn turned(self, p: DVec2) -> DVec2 {
+        if self == Self::X { p } else { DVec2::new(p.y, p.x) }
+    }
+}
+
+/// A side of a triangle in a picture, turned to the axis across which it rather runs than along it.
+#[derive(Clone, Copy, Default)]
+struct Side {
     ends: [u32; 2],
-    /// Share of the way from the first end to the second.
-    at: f64,
+    axis: Axis,
+    from: DVec2,
+    to: DVec2,
     /// Change along the axis for each pixel across it.
     slant: f64,
 }
 
-/// Whether an edge runs between the centres of a pixel and of its neighbour, and rather across the
-/// line between them than along it: the other half of the edges is found along the other axis.
-fn crossing(a: (u32, DVec2), b: (u32, DVec2), from: DVec2, axis: Axis) -> Option<Crossing> {
-    let turned = |p: DVec2| if axis == Axis::X { p } else { DVec2::new(p.y, p.x) };
-    let (p, q, from) = (turned(a.1), turned(b.1), turned(from));
-    let by = q - p;
-    let is_other = by.x.abs() > by.y.abs() || (axis == Axis::Y && by.x.abs() == by.y.abs());
-    if by.y == 0.0 || is_other {
-        return None;
+impl Side {
+    fn all(face: &SceneFace, points: &[DVec2]) -> [Self; 3] {
+        let corner = |k: usize| face.vertices[k % 3];
+        std::array::from_fn(|k| {
+            let ends = [corner(k), corner(k + 1)];
+            let [p, q] = ends.map(|v| points[v as usize]);
+            let by = q - p;
+            let axis = if by.x.abs() > by.y.abs() { Axis::Y } else { Axis::X };
+            let (from, to) = (axis.turned(p), axis.turned(q));
+            let slant = (to.x - from.x) / (to.y - from.y);
+            Self { ends, axis, from, to, slant }
+        })
     }
-    let at = (from.y - p.y) / by.y;
-    let x = p.x + at * by.x;
-    let is_between = (0.0..=1.0).contains(&at) && (from.x..=from.x + 1.0).contains(&x);
-    is_between.then(|| Crossing { ends: [a.0, b.0], at, slant: by.x / by.y })
+
+    /// Where on its way from one end to the other it runs between a pixel's centre and the next one's
+    /// along the axis, if it does.
+    fn crossing(&self, center: DVec2, axis: Axis) -> Option<f64> {
+        if self.axis != axis || (self.from.y > center.y) == (self.to.y > center.y) {
+            return None;
+        }
+        let x = self.from.x + (center.y - self.from.y) * self.slant;
+        let is_between = (center.x..=center.x + 1.0).contains(&x);
+        is_between.then(|| (center.y - self.from.y) / (self.to.y - self.from.y))
+    }
+
+    /// How far it moves along its axis, from how an end moves in the picture.
+    fn along(&self, [dx, dy]: [DVec3; 2]) -> DVec3 {
+        match self.axis {
+            Axis::X => dx - self.slant * dy,
+            Axis::Y => dy - self.slant * dx,
+        }
+    }
 }
 
 /// How a point's picture moves, in pixels to the right and down, with its place.

@@ -326,7 +326,7 @@ fn fragment_lists_hold_what_a_re_render_puts_there() {
     let scene = scene(6, LOOKS[0]);
     let mut lists = super::fragments::FragmentLists::new(64, 128, &[0; 64 * 64]);
     let mut expected = vec![Vec::new(); 64 * 64];
-    raster::for_each_fragment(&scene, 0, &mut |i, j, f| {
+    raster::for_each_fragment(&scene, 0, |_| true, &mut |i, j, f| {
         lists.insert(i, j, f);
         expected[(j * 64 + i) as usize].push(f);
     });

@@ -31,6 +31,9 @@ pub struct AdapterInfo {
     pub unfit: Option<String>,
 }
 
+/// The kind of an adapter that computes on the processor.
+pub(super) const SOFTWARE: &str = "cpu";
+
 /// Every Vulkan adapter of this machine, in the driver's order. Empty without a Vulkan driver.
 pub fn adapters() -> Vec<AdapterInfo> {
     enumerate().iter().map(describe).collect()
@@ -62,7 +65,7 @@ pub(super) fn describe(adapter: &wgpu::Adapter) -> AdapterInfo {
         wgpu::DeviceType::DiscreteGpu => "discrete gpu",
         wgpu::DeviceType::IntegratedGpu => "integrated gpu",
         wgpu::DeviceType::VirtualGpu => "virtual gpu",
-        wgpu::DeviceType::Cpu => "cpu",
+        wgpu::DeviceType::Cpu => SOFTWARE,
         wgpu::DeviceType::Other => "other",
     };
     let driver = format!("{} {}", info.driver, info.driver_info);

@@ -24,6 +24,6 @@ pub use choose::{Choice, choose, make_evaluator};
 pub use device::{AdapterInfo, adapters};
 pub use evaluator::{Evaluator, Reference, RenderError};
 pub use moves::{AddedFace, MAX_MOVE_VERTICES, Move};
-pub use raster::{energy, for_each_pixel, picture, reference};
+pub use raster::{energy, for_each_run, for_each_setup, picture, reference};
 pub use scene::{RenderParams, Scene, SceneFace, Shading};
 pub use twin::Twin;

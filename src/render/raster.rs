@@ -1,12 +1,14 @@
 //! Full rendering of a scene on the host: reference pictures, and the sorted fragments of the
 //! current model. Slow but simple; the incremental paths are checked against it.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 use super::{
     evaluator::Reference,
-    lattice::{DEPTH_BITS, LUM_BITS, Setup},
-    scene::Scene,
+    lattice::{DEPTH_BITS, LUM_BITS, PixelRect, Setup},
+    scene::{Scene, SceneFace},
 };
 
 /// One fragment: what a triangle leaves in a pixel it covers.
@@ -29,46 +31,96 @@ pub fn reference(scene: &Scene) -> Reference {
 
 /// The picture of one view: 8-bit luminance, row by row from the top.
 pub fn picture(scene: &Scene, view: usize) -> Vec<u8> {
-    let n = (scene.lattice.size * scene.lattice.size) as usize;
-    let mut nearest = vec![(u32::MAX, u32::MAX); n];
-    let mut lum = vec![scene.params.background; n];
-    for_each_fragment(scene, view, &mut |i, j, f| {
-        let pixel = (j * scene.lattice.size + i) as usize;
-        let key = (u32::from(f.z), f.face);
-        if key < nearest[pixel] {
-            nearest[pixel] = key;
-            lum[pixel] = f.lum;
+    let size = scene.lattice.size;
+    let mut nearest = vec![(u32::MAX, u32::MAX); (size * size) as usize];
+    let at = |i: i32, j: i32| (j * size + i) as usize;
+    for_each_setup(
+        scene,
+        view,
+        |_| true,
+        |id, _, s| {
+            for_each_pixel(s, |i, j| {
+                let slot = &mut nearest[at(i, j)];
+                *slot = (*slot).min((s.depth.at(i, j, DEPTH_BITS) as u32, id));
+            });
+        },
+    );
+    // Most triangles of a dense model are not seen: shade only those that are.
+    let mut is_seen = vec![false; scene.faces.len()];
+    for (_, id) in nearest.iter().filter(|key| key.1 != u32::MAX) {
+        is_seen[*id as usize] = true;
+    }
+    let mut lum = vec![scene.params.background; nearest.len()];
+    for_each_fragment(scene, view, |id| is_seen[id as usize], &mut |i, j, f| {
+        if nearest[at(i, j)].1 == f.face {
+            lum[at(i, j)] = f.lum;
         }
     });
     lum
 }
 
-/// Calls `on(i, j, fragment)` for every fragment of every triangle, triangles by ascending id.
-pub fn for_each_fragment(scene: &Scene, view: usize, on: &mut impl FnMut(i32, i32, Fragment)) {
-    let lattice = &scene.lattice;
-    let cull = scene.culls_front(view);
-    for (id, face) in scene.faces.iter().enumerate() {
-        let Some(face) = face else { continue };
+/// Calls `on(i, j, fragment)` for every fragment of the triangles that are `wanted`, these by
+/// ascending id.
+pub fn for_each_fragment(
+    scene: &Scene,
+    view: usize,
+    wanted: impl Fn(u32) -> bool,
+    on: &mut impl FnMut(i32, i32, Fragment),
+) {
+    // Most triangles of a dense model cover no pixel: shade only those that may.
+    for_each_setup(scene, view, wanted, |id, face, _| {
         let points = face.vertices.map(|v| scene.screen_points(v)[view]);
-        // Most triangles of a dense model cover no pixel: shade only those that may.
-        if lattice.setup(points, [0; 3], cull).is_none() {
-            continue;
-        }
         let lum = scene.face_luminance(view, face);
-        let Some(s) = lattice.setup(points, lum, cull) else { continue };
-        for_each_pixel(&s, |i, j| {
-            on(i, j, fragment(&s, id as u32, i, j));
-        });
+        let s = scene.lattice.setup(points, lum, scene.culls_front(view));
+        s.iter().for_each(|s| for_each_pixel(s, |i, j| on(i, j, fragment(s, id, i, j))));
+    });
+}
+
+/// Calls `on(id, triangle, setup)` for every triangle that is `wanted` and may cover a pixel, by
+/// ascending id. The setups know no luminance.
+pub fn for_each_setup(
+    scene: &Scene,
+    view: usize,
+    wanted: impl Fn(u32) -> bool,
+    mut on: impl FnMut(u32, &SceneFace, &Setup),
+) {
+    let (lattice, cull) = (&scene.lattice, scene.culls_front(view));
+    // Beside one another: in the scene a vertex's points of all views are, far from its neighbours'.
+    let points: Vec<_> =
+        (0..scene.n_vertex_slots() as u32).map(|v| scene.screen_points(v)[view]).collect();
+    for (id, face) in (0_u32..).zip(&scene.faces).filter(|(id, _)| wanted(*id)) {
+        let Some(face) = face else { continue };
+        if let Some(s) = lattice.setup(face.vertices.map(|v| points[v as usize]), [0; 3], cull) {
+            on(id, face, &s);
+        }
     }
 }
 
 /// Calls `on(i, j)` for every pixel that a triangle covers, row by row.
+#[inline]
 pub fn for_each_pixel(s: &Setup, mut on: impl FnMut(i32, i32)) {
-    for j in s.rect.y0..=s.rect.y1 {
-        let row = s.rect.x0..=s.rect.x1;
-        // Triangles are convex: what a row covers is one run.
-        for i in row.skip_while(|i| !s.covers(*i, j)).take_while(|i| s.covers(*i, j)) {
-            on(i, j);
+    for_each_run(s, |row, j| row.for_each(|i| on(i, j)));
+}
+
+/// Calls `on(columns, j)` for every row in which a triangle covers pixels. Triangles are convex: what a
+/// row covers is one run.
+#[inline]
+pub fn for_each_run(s: &Setup, mut on: impl FnMut(Range<i32>, i32)) {
+    let PixelRect { x0, y0, x1, y1 } = s.rect;
+    for j in y0..=y1 {
+        let [mut a, mut b, mut c] = s.edges.map(|e| e.at(x0, j));
+        let [da, db, dc] = s.edges.map(|e| e.dx);
+        let mut i = x0;
+        let mut go_while = |is_outside: bool| {
+            while i <= x1 && ((a | b | c) < 0) == is_outside {
+                (a, b, c) = (a.wrapping_add(da), b.wrapping_add(db), c.wrapping_add(dc));
+                i = i.wrapping_add(1);
+            }
+            i
+        };
+        let run = go_while(true)..go_while(false);
+        if !run.is_empty() {
+            on(run, j);
         }
     }
 }

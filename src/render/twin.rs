@@ -56,7 +56,7 @@ impl Twin {
 fn build_lists(scene: &Scene, view: usize, reference: &[u8]) -> FragmentLists {
     let size = scene.lattice.size;
     let mut lists = FragmentLists::new(size, scene.params.background, reference);
-    raster::for_each_fragment(scene, view, &mut |i, j, f| lists.insert(i, j, f));
+    raster::for_each_fragment(scene, view, |_| true, &mut |i, j, f| lists.insert(i, j, f));
     lists.refresh_tiles(&PixelRect { x0: 0, y0: 0, x1: size - 1, y1: size - 1 });
     lists
 }
