@@ -129,9 +129,7 @@ fn port(address: SocketAddr) -> Finding {
 async fn store(data_dir: &Path) -> Finding {
     let what = "store";
     if !data_dir.exists() {
-        let text =
-            format!("{} does not exist: `lookalike serve` will create it", data_dir.display());
-        return Finding { what, grade: Grade::Fair, text };
+        return absent(data_dir);
     }
     match Jobs::inspect(data_dir).await {
         Ok(counts) => {
@@ -149,9 +147,43 @@ async fn store(data_dir: &Path) -> Finding {
     }
 }
 
+/// Whether a data directory that is not there can be made.
+fn absent(data_dir: &Path) -> Finding {
+    let what = "store";
+    let at = data_dir.display();
+    // Tried in the nearest folder there is, so that nothing is left but what was there.
+    let above = data_dir.ancestors().skip(1).find(|path| path.exists());
+    let above = above.filter(|path| !path.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let trial = above.join(format!(".lookalike-doctor-{}", std::process::id()));
+    match fs::create_dir(&trial).and_then(|()| fs::remove_dir(&trial)) {
+        Ok(()) => {
+            let text = format!("{at} does not exist: `lookalike serve` will create it");
+            Finding { what, grade: Grade::Fair, text }
+        }
+        Err(error) => {
+            let above = above.display();
+            let text = format!(
+                "{at} does not exist, and nothing can be made in {above} ({error}): choose another \
+                 --data-dir, or create it for this user"
+            );
+            Finding { what, grade: Grade::Bad, text }
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_data_directory_that_cannot_be_made_is_a_fault() {
+        let folder = std::env::temp_dir();
+        assert_eq!(absent(&folder.join("not/there")).grade, Grade::Fair);
+        assert_eq!(absent(Path::new("not-there")).grade, Grade::Fair);
+        let finding = absent(Path::new("/proc/not/there"));
+        assert_eq!(finding.grade, Grade::Bad);
+        assert!(finding.text.contains("/proc/not/there"), "{}", finding.text);
+    }
 
     #[test]
     fn a_missing_driver_names_its_package() {
