@@ -189,6 +189,7 @@ fn optimize(
         evaluations,
         n_others: options.get("others", 3),
         steps: [options.get("first", 48), options.get("steps", 24), options.get("rest", 48)],
+        cycle: options.get("cycle", 0) * n_triangles,
     };
     let center = bounding_sphere(stage.original).center;
     let set = |turn| ViewSet::turned(stage.original, &stage.pictures, center, turn);

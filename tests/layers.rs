@@ -24,7 +24,7 @@ const MAY_IMPORT: [(&str, &[&str]); 18] = [
     ("render", &["intrinsics"]),
     ("metric", &["mesh", "render"]),
     ("simplify", &["mesh", "memoryless", "metric", "render"]),
-    ("optimize", &["mesh", "memoryless", "metric", "render"]),
+    ("optimize", &["mesh", "memoryless", "metric", "render", "simplify"]),
     ("compare", &["mesh", "render", "metric"]),
     ("jobs", &[]),
     (

@@ -153,6 +153,19 @@ pub enum Edit<'a> {
     Revalue(&'a Revalue),
 }
 
+impl Edit<'_> {
+    /// A copy to keep.
+    pub fn to_record(self) -> EditRecord {
+        match self {
+            Self::Collapse(record) => EditRecord::Collapse(record.clone()),
+            Self::Split(record) => EditRecord::Split(record.clone()),
+            Self::Swap(record) => EditRecord::Swap(*record),
+            Self::Displacement(record) => EditRecord::Displacement(*record),
+            Self::Revalue(record) => EditRecord::Revalue(record.clone()),
+        }
+    }
+}
+
 macro_rules! edit_from {
     ($($kind:ident),*) => {$(
         impl<'a> From<&'a $kind> for Edit<'a> {

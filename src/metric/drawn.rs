@@ -94,7 +94,11 @@ impl<'s> Drawn<'s> {
             let (row, end) = (&self.ids[start..][..self.size], start + self.size);
             let mut at = start;
             for run in row.chunk_by(|a, b| a == b) {
-                sum.energy += self.see(run[0], &reference[at..][..run.len()], at, &mut seen);
+                let energy = self.see(run[0], &reference[at..][..run.len()], at, &mut seen);
+                sum.energy += energy;
+                if let Some(of_face) = sum.faces.get_mut(run[0] as usize) {
+                    *of_face += energy;
+                }
                 at += run.len();
                 if at < end {
                     self.across(reference, [at - 1, at], Axis::X, &mut seen);

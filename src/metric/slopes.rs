@@ -49,6 +49,8 @@ pub struct Slopes {
     pub places: Vec<Slope>,
     /// By vertex slot: by the normal; empty unless surfaces are smooth and normals their own.
     pub normals: Vec<Slope>,
+    /// By triangle: its part of the energy, the background's left out.
+    pub faces: Vec<f64>,
 }
 
 /// The energy of a scene against pictures of the original, and its slopes at every vertex.
@@ -60,6 +62,7 @@ pub fn slopes(scene: &Scene, reference: &Reference, has_own_normals: bool) -> Sl
         energy: 0.0,
         places: vec![Slope::FLAT; n_slots],
         normals: vec![Slope::FLAT; n_normals],
+        faces: vec![0.0; scene.faces.len()],
     };
     let of_view = |view: usize| {
         let mut part = sum.clone();
@@ -69,6 +72,7 @@ pub fn slopes(scene: &Scene, reference: &Reference, has_own_normals: bool) -> Sl
     let parts: Vec<Slopes> = (0..scene.n_views()).into_par_iter().map(of_view).collect();
     for part in parts {
         sum.energy += part.energy;
+        sum.faces.iter_mut().zip(&part.faces).for_each(|(total, one)| *total += one);
         let totals = sum.places.iter_mut().chain(&mut sum.normals);
         for (total, one) in totals.zip(part.places.iter().chain(&part.normals)) {
             total.gradient += one.gradient;

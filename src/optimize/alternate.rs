@@ -1,14 +1,17 @@
-//! Optimization against many view sets, so that the mesh fits the model and not twenty pictures of it.
-//! Beyond the paper.
+//! Optimization in turns: of many view sets, so that the mesh fits the model and not twenty pictures of
+//! it, and of more and fewer triangles, so that it leaves an arrangement from which no single move
+//! leads to a better one. Beyond the paper.
 //!
 //! A turn is a descent of all vertices by the slopes in view after view, then discrete moves judged by
 //! the evaluator in one set of views; the next turn takes another set. What the discrete moves have
-//! spoilt for other views, the next descent mends.
+//! spoilt for other views, the next descent mends. After some turns come cycles (`cycle.rs`), made of
+//! turns themselves.
 //!
 //! Invariants:
 //! 1. turn 0 and every (n + 1)-th one after it show the views that the run is judged by; the n turns
 //!    between show the others, one set after the other; the last word has a descent in all views;
-//! 2. samples come from the turns of 1 and from the end, with the evaluations of all turns;
+//! 2. samples come from the turns of 1 outside cycles, from the ends of cycles and from the end, with
+//!    the evaluations of all;
 //! 3. a descent counts as the evaluations that draw as many triangles.
 //!
 //! A sample may lie above one of an earlier turn: what other turns do is judged by other views. Samples
@@ -17,9 +20,8 @@
 //! Measured, unseen d2 as a share of the start, bunny from memoryless simplification to 1,336 triangles:
 //! at 200 evaluations a triangle .840 in the run-time views alone, .811 with 2 view sets, .803 with 8,
 //! .798 with 16; at 40 .837 with 16. Not kept: several view sets at once in the discrete moves (80 views;
-//! no gain at four times the cost), pictures of 512² (.003 better at twice the cost), splitting and
-//! collapsing a tenth of the vertices between descents (.005 better after 500 evaluations a triangle),
-//! a last turn of vertex moves in the run-time views (their energy falls by a tenth, unseen d2 rises by .015).
+//! no gain at four times the cost), pictures of 512² (.003 better at twice the cost), a last turn of vertex
+//! moves in the run-time views (their energy falls by a tenth, unseen d2 rises by .015).
 
 use std::ops::ControlFlow;
 
@@ -38,6 +40,9 @@ use super::{
 /// Shows the mesh as it is now, in a view set; number 0 is the one that the run is judged by.
 pub type Shower<'a, E> = dyn FnMut(usize, &EditMesh) -> Result<Objective, E> + 'a;
 
+/// Whom to tell.
+pub type Listener<'a> = dyn FnMut(Step<'_>) -> ControlFlow<()> + 'a;
+
 /// How view sets take turns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Turns {
@@ -47,59 +52,80 @@ pub struct Turns {
     pub n_others: usize,
     /// Steps of descents: the first, those between, the last.
     pub steps: [usize; 3],
+    /// Evaluations of a cycle of more and fewer triangles; 0: none.
+    pub cycle: u64,
 }
 
 /// Optimizes in turns, each with the objective that `show` makes for it; descents see all of `sets`.
-/// `params.max_evaluations` must not be 0, and is for all turns together; `params.until` does not
-/// count.
+/// `params.max_evaluations` must not be 0, and is for all turns together. `params.until` is looked at
+/// where the views that count are.
 pub fn alternate<E: From<OptimizeError>>(
     mesh: &mut EditMesh,
     params: &Params,
     turns: Turns,
     sets: &[ViewSet],
     show: &mut Shower<'_, E>,
-    on: &mut dyn FnMut(Step<'_>) -> ControlFlow<()>,
+    on: &mut Listener<'_>,
 ) -> Result<Outcome, E> {
     let mut run = Alternation::new(&show(0, mesh)?, params, turns, sets);
-    let mut flow = run.sample(mesh, 0, on);
-    while flow.is_continue() {
-        let Some(turn) = run.next_turn(mesh) else { break };
-        flow = run.descend(mesh, turn.n_steps, on);
-        if flow.is_continue() {
-            flow = run.make_moves(mesh, &turn, &mut show(turn.set, mesh)?, on)?;
-        }
-    }
-    if flow.is_continue() {
-        flow = run.descend(mesh, run.affordable(mesh), on);
-    }
+    let ended = run.all(mesh, show, on);
+    run.outcome.stopped_by = match ended {
+        Ok(()) => StoppedBy::Evaluations,
+        Err(Halt::By(by)) => by,
+        Err(Halt::Fault(fault)) => return Err(fault),
+    };
     run.outcome.energy_after = show(0, mesh)?.energy();
-    if flow.is_break() || run.sample(mesh, run.n_turns + 1, on).is_break() {
+    run.n_turns += 1;
+    if run.sample(mesh, on).is_break() {
         run.outcome.stopped_by = StoppedBy::Caller;
     }
     Ok(run.outcome)
 }
 
+/// Why a run goes no further.
+pub(super) enum Halt<E> {
+    By(StoppedBy),
+    Fault(E),
+}
+
+/// What the caller says, so that `?` breaks off.
+pub(super) fn heard<E>(flow: ControlFlow<()>) -> Result<(), Halt<E>> {
+    match flow {
+        ControlFlow::Continue(()) => Ok(()),
+        ControlFlow::Break(()) => Err(Halt::By(StoppedBy::Caller)),
+    }
+}
+
 /// One turn.
 struct Turn {
-    /// From 1 on: samples of turn 0 come before any.
-    number: usize,
     set: usize,
     n_steps: usize,
 }
 
+/// Some turns and the descent after them.
+#[derive(Clone, Copy)]
+pub(super) struct Stretch {
+    /// Evaluations of the whole run at its end.
+    pub end: u64,
+    /// The mesh has as many triangles as it should, so that its energy is to be heard of.
+    pub counts: bool,
+}
+
 /// See [`alternate`].
-struct Alternation<'a> {
-    params: &'a Params,
-    turns: Turns,
-    sets: &'a [ViewSet],
+pub(super) struct Alternation<'a> {
+    pub params: &'a Params,
+    pub turns: Turns,
+    pub sets: &'a [ViewSet],
     n_turns: usize,
     /// Descents so far, in steps: where the next one goes on in the view sets.
     n_steps: usize,
-    has_own_normals: bool,
-    memory: Option<Memory>,
+    pub has_own_normals: bool,
+    pub memory: Option<Memory>,
     /// In the views that count.
     n_pixels: u64,
-    outcome: Outcome,
+    /// Cycles in a row that have brought nothing.
+    pub n_fruitless: u32,
+    pub outcome: Outcome,
 }
 
 impl<'a> Alternation<'a> {
@@ -121,54 +147,101 @@ impl<'a> Alternation<'a> {
             has_own_normals: objective.has_own_normals(),
             memory: None,
             n_pixels: objective.scene().n_pixels(),
+            n_fruitless: 0,
             outcome,
         }
     }
 
+    /// Turns, cycles, turns.
+    fn all<E: From<OptimizeError>>(
+        &mut self,
+        mesh: &mut EditMesh,
+        show: &mut Shower<'_, E>,
+        on: &mut Listener<'_>,
+    ) -> Result<(), Halt<E>> {
+        heard(self.sample(mesh, on))?;
+        for end in self.cycles() {
+            if self.n_turns == 0 {
+                self.take_turns(mesh, Stretch { end, counts: true }, show, on)?;
+            } else {
+                self.cycle(mesh, end, show, on)?;
+            }
+        }
+        let rest = Stretch { end: self.params.max_evaluations, counts: true };
+        self.take_turns(mesh, rest, show, on)
+    }
+
+    /// Where the turns before cycles end, and each cycle.
+    fn cycles(&self) -> impl Iterator<Item = u64> + use<> {
+        let (first, length) = (2 * self.turns.cycle / 5, self.turns.cycle);
+        let n = (self.params.max_evaluations.saturating_sub(first)).checked_div(length);
+        (0..=n.unwrap_or(0)).filter(move |_| n > Some(0)).map(move |k| first + k * length)
+    }
+
     /// A point of the energy curve between turns.
-    fn sample(
-        &self,
-        mesh: &EditMesh,
-        turn: usize,
-        on: &mut dyn FnMut(Step<'_>) -> ControlFlow<()>,
-    ) -> ControlFlow<()> {
+    pub fn sample(&self, mesh: &EditMesh, on: &mut Listener<'_>) -> ControlFlow<()> {
         on(Step::Sample(Sample {
             stage: Stage::Optimize,
             evaluations: self.outcome.evaluations,
             triangles: mesh.n_faces() as u32,
             energy: Some(self.outcome.energy_after),
             d2: Some(d2_percent(self.outcome.energy_after, self.n_pixels)),
-            turn: turn as u32,
+            turn: self.n_turns as u32,
         }))
     }
 
-    /// What is left of the budget when the last descent is paid for.
-    fn left(&self, mesh: &EditMesh) -> u64 {
-        let reserved = descent::cost(mesh, self.turns.steps[2]);
-        self.params.max_evaluations.saturating_sub(self.outcome.evaluations + reserved)
+    /// Takes turns as long as there are evaluations left, then descends.
+    pub fn take_turns<E: From<OptimizeError>>(
+        &mut self,
+        mesh: &mut EditMesh,
+        stretch: Stretch,
+        show: &mut Shower<'_, E>,
+        on: &mut Listener<'_>,
+    ) -> Result<(), Halt<E>> {
+        while let Some(turn) = self.next_turn(mesh, stretch) {
+            heard(self.descend(mesh, turn.n_steps, on))?;
+            let mut objective = show(turn.set, mesh).map_err(Halt::Fault)?;
+            self.make_moves(mesh, (&turn, stretch), &mut objective, on)?;
+        }
+        heard(self.descend(mesh, self.affordable(mesh, stretch), on))
     }
 
-    /// The next turn; `None` when there is no budget left for one.
-    fn next_turn(&mut self, mesh: &EditMesh) -> Option<Turn> {
+    fn last_steps(&self, stretch: Stretch) -> usize {
+        self.turns.steps[if stretch.counts { 2 } else { 1 }]
+    }
+
+    /// What is left of a stretch when the last descent is paid for.
+    fn left(&self, mesh: &EditMesh, stretch: Stretch) -> u64 {
+        let reserved = descent::cost(mesh, self.last_steps(stretch));
+        stretch.end.saturating_sub(self.outcome.evaluations + reserved)
+    }
+
+    /// The next turn; `None` when there are no evaluations left for one.
+    fn next_turn(&mut self, mesh: &EditMesh, stretch: Stretch) -> Option<Turn> {
         let (number, n_others) = (self.n_turns, self.sets.len() - 1);
         let n_steps = self.turns.steps[usize::from(number > 0)];
-        if self.left(mesh) <= descent::cost(mesh, n_steps) {
+        if self.left(mesh, stretch) <= descent::cost(mesh, n_steps) {
             return None;
         }
         self.n_turns += 1;
-        let counts = n_others == 0 || number.is_multiple_of(self.turns.n_others + 1);
-        let n_before = number - number.div_ceil(self.turns.n_others + 1);
-        Some(Turn {
-            number: self.n_turns,
-            set: if counts { 0 } else { 1 + n_before % n_others },
-            n_steps,
-        })
+        Some(Turn { set: self.set_of(number, n_others), n_steps })
     }
 
-    /// Steps of the last descent that the budget allows.
-    fn affordable(&self, mesh: &EditMesh) -> usize {
-        let left = self.params.max_evaluations.saturating_sub(self.outcome.evaluations);
-        let mut n_steps = self.turns.steps[2];
+    fn set_of(&self, number: usize, n_others: usize) -> usize {
+        let counts = n_others == 0 || number.is_multiple_of(self.turns.n_others + 1);
+        let n_before = number - number.div_ceil(self.turns.n_others + 1);
+        if counts { 0 } else { 1 + n_before % n_others }
+    }
+
+    /// A view set for what happens between turns.
+    pub fn some_set(&self) -> usize {
+        self.n_turns % self.sets.len()
+    }
+
+    /// Steps of the last descent that a stretch allows.
+    fn affordable(&self, mesh: &EditMesh, stretch: Stretch) -> usize {
+        let left = stretch.end.saturating_sub(self.outcome.evaluations);
+        let mut n_steps = self.last_steps(stretch);
         while n_steps > 0 && descent::cost(mesh, n_steps) > left {
             n_steps -= 1;
         }
@@ -180,7 +253,7 @@ impl<'a> Alternation<'a> {
         &mut self,
         mesh: &mut EditMesh,
         n_steps: usize,
-        on: &mut dyn FnMut(Step<'_>) -> ControlFlow<()>,
+        on: &mut Listener<'_>,
     ) -> ControlFlow<()> {
         let unknowns = Unknowns {
             has_own_normals: self.has_own_normals,
@@ -208,46 +281,66 @@ impl<'a> Alternation<'a> {
     fn make_moves<E: From<OptimizeError>>(
         &mut self,
         mesh: &mut EditMesh,
-        turn: &Turn,
+        (turn, stretch): (&Turn, Stretch),
         objective: &mut Objective,
-        on: &mut dyn FnMut(Step<'_>) -> ControlFlow<()>,
-    ) -> Result<ControlFlow<()>, E> {
+        on: &mut Listener<'_>,
+    ) -> Result<(), Halt<E>> {
         let (spent, total) = (self.outcome.evaluations, self.params.max_evaluations);
+        let is_heard = turn.set == 0 && stretch.counts;
+        // What the run began with, as this turn sees it.
+        let first = self.outcome.energy_before as f64 / (objective.energy() as f64).max(1.0);
         let params = Params {
-            max_evaluations: self.left(mesh).min(self.turns.evaluations).max(1),
-            until: 0.0,
-            has_vertex_moves: false,
+            max_evaluations: self.left(mesh, stretch).min(self.turns.evaluations).max(1),
+            until: if is_heard { self.params.until * first } else { 0.0 },
+            has_vertex_moves: self.turns.steps == [0; 3],
             ..self.params.clone()
         };
         let mut optimizer = match self.memory.take() {
             Some(known) => Optimizer::resume(mesh, objective, params, known),
             None => Optimizer::new(mesh, objective, params),
         };
-        let outcome = optimizer.run(&mut |step| match told(step, turn, (spent, total)) {
+        let told = Told { is_heard, turn: self.n_turns as u32, spent, total };
+        let outcome = optimizer.run(&mut |step| match told.of(step) {
             Some(step) => on(step),
             None => ControlFlow::Continue(()),
-        })?;
+        });
+        let outcome = outcome.map_err(|fault| Halt::Fault(fault.into()))?;
         self.memory = Some(optimizer.into_memory());
         self.outcome.evaluations += outcome.evaluations;
         self.outcome.moves = outcome.moves;
-        let is_broken = outcome.stopped_by == StoppedBy::Caller;
-        Ok(if is_broken { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
+        match outcome.stopped_by {
+            by @ (StoppedBy::Caller | StoppedBy::Energy) if by == StoppedBy::Caller || is_heard => {
+                Err(Halt::By(by))
+            }
+            _ => Ok(()),
+        }
     }
 }
 
-/// What the caller hears of a step in a turn: samples only where they can be compared, with what was
-/// spent before.
-fn told<'s>(step: Step<'s>, turn: &Turn, (spent, total): (u64, u64)) -> Option<Step<'s>> {
-    match step {
-        Step::Sample(_) | Step::Moves(_) if turn.set != 0 => None,
-        Step::Sample(sample) => Some(Step::Sample(Sample {
-            evaluations: spent + sample.evaluations,
-            turn: turn.number as u32,
-            ..sample
-        })),
-        Step::Progress { done, .. } => {
-            Some(Step::Progress { done: (spent + done).min(total), total })
+/// What the caller hears of a turn's steps.
+#[derive(Clone, Copy)]
+struct Told {
+    /// Its energies can be compared with those of other turns.
+    is_heard: bool,
+    turn: u32,
+    /// Evaluations before it.
+    spent: u64,
+    total: u64,
+}
+
+impl Told {
+    fn of(self, step: Step<'_>) -> Option<Step<'_>> {
+        let Self { is_heard, turn, spent, total } = self;
+        match step {
+            Step::Sample(_) | Step::Moves(_) if !is_heard => None,
+            Step::Sample(sample) => {
+                let evaluations = spent + sample.evaluations;
+                Some(Step::Sample(Sample { evaluations, turn, ..sample }))
+            }
+            Step::Progress { done, .. } => {
+                Some(Step::Progress { done: (spent + done).min(total), total })
+            }
+            edit => Some(edit),
         }
-        edit => Some(edit),
     }
 }

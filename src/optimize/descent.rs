@@ -51,7 +51,12 @@ const FACES_PER_EVALUATION: usize = 6;
 
 /// What a descent costs: the evaluations that draw as many triangles.
 pub fn cost(mesh: &EditMesh, n_steps: usize) -> u64 {
-    (mesh.n_faces() * (n_steps + 2)).div_ceil(FACES_PER_EVALUATION) as u64
+    if n_steps == 0 { 0 } else { cost_of_looks(mesh, n_steps + 2) }
+}
+
+/// What drawing the mesh in so many view sets costs.
+pub fn cost_of_looks(mesh: &EditMesh, n_looks: usize) -> u64 {
+    (mesh.n_faces() * n_looks).div_ceil(FACES_PER_EVALUATION) as u64
 }
 
 /// Goes down the slope in `n_steps` steps, each by the next of the view sets, from number `first` on.

@@ -6,6 +6,7 @@ use crate::{
     mesh::{EditMesh, Step},
     metric::Objective,
     render::RenderError,
+    simplify::SimplifyError,
 };
 
 use super::{
@@ -36,6 +37,14 @@ pub enum OptimizeError {
     /// The evaluator failed.
     #[error(transparent)]
     Render(#[from] RenderError),
+}
+
+impl From<SimplifyError> for OptimizeError {
+    fn from(error: SimplifyError) -> Self {
+        match error {
+            SimplifyError::Render(error) => Self::Render(error),
+        }
+    }
 }
 
 /// Image-driven optimization of a mesh at a fixed number of vertices. May be run again and again.

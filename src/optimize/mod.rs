@@ -3,8 +3,9 @@
 //! the original's.
 //!
 //! Invariants:
-//! 1. every edit lowers the energy, judged exactly on the mesh as it is when the edit is made (a
-//!    teleport: its split and its collapse together; the one exception is `allows_uphill`);
+//! 1. every edit of an [`Optimizer`] lowers the energy, judged exactly on the mesh as it is when the
+//!    edit is made (a teleport: its split and its collapse together; the one exception is
+//!    `allows_uphill`); what [`alternate`] does besides is kept if it lowers the energy as a whole;
 //! 2. results depend on the mesh, the pictures and the parameters alone: not on clocks, threads,
 //!    devices or batch timing;
 //! 3. collapses satisfy the link condition, so the topology stays; a border may move.
@@ -15,6 +16,7 @@
 //! Knows nothing of files, devices or jobs.
 
 mod alternate;
+mod cycle;
 mod descent;
 mod driver;
 mod edges;
@@ -33,7 +35,7 @@ mod teleport;
 mod tests;
 mod trial;
 
-pub use alternate::{Shower, Turns, alternate};
+pub use alternate::{Listener, Shower, Turns, alternate};
 pub use driver::{OptimizeError, Optimizer, Outcome};
 pub use params::{Params, Solver, StoppedBy};
 pub use run::Memory;

@@ -88,6 +88,14 @@ impl Memory {
 }
 
 impl Memory {
+    /// The same for a mesh that has nothing to do with the one it was of: what remains are the random
+    /// numbers and what the operations have brought.
+    #[must_use]
+    pub fn elsewhere(self, mesh: &EditMesh, params: &Params) -> Self {
+        let Self { rng, statistics, n_uphill, .. } = self;
+        Self { rng, statistics, n_uphill, ..Self::new(mesh, params) }
+    }
+
     /// Other pictures are looked at, or vertices were moved: what was found out is doubtful.
     pub fn see_anew(&mut self) {
         self.collapses.doubt();

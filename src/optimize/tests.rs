@@ -161,7 +161,7 @@ fn a_run_ends_where_it_is_asked_to() {
 fn views_take_turns_and_the_last_word_is_told() {
     let (original, simplified) = models();
     let pictures = pictures(&original, Shading::Flat);
-    let ran = take_turns(&original, simplified, &pictures, &budget(8_000));
+    let ran = take_turns(&original, simplified, &pictures, &budget(8_000), 0);
     assert!(ran.turns.starts_with(&[0, 0, 1, 0, 2, 0]) && ran.turns.last() == Some(&0), "{ran:?}");
     assert!(ran.replayed == ran.mesh, "the edits that were told do not lead to the mesh");
     let now = show(&original, &pictures, &EditMesh::new(ran.mesh).unwrap(), false).energy();
@@ -180,15 +180,64 @@ fn turns_are_repeatable_and_move_normals_where_asked() {
     let simplified = with_vertex_normals(simplified);
     let [still, free, again] = [false, true, true].map(|optimizes_normals| {
         let params = Params { optimizes_normals, ..budget(5_000) };
-        take_turns(&original, simplified.clone(), &pictures, &params)
+        take_turns(&original, simplified.clone(), &pictures, &params, 0)
     });
     assert!(free.mesh == again.mesh && free.samples == again.samples);
     assert!(free.replayed == free.mesh && still.replayed == still.mesh);
     assert!(free.outcome.energy_after < still.outcome.energy_after);
 }
 
+#[test]
+fn cycles_keep_the_triangles_and_tell_the_edits_of_those_that_helped() {
+    for shading in [Shading::Flat, Shading::Smooth] {
+        let (original, simplified) = models();
+        let pictures = pictures(&original, shading);
+        let start = match shading {
+            Shading::Flat => simplified,
+            Shading::Smooth => with_vertex_normals(simplified),
+        };
+        let params = Params { optimizes_normals: true, ..budget(12_000) };
+        let run = |cycle| take_turns(&original, start.clone(), &pictures, &params, cycle);
+        let (plain, ran, again) = (run(0), run(4_000), run(4_000));
+        assert!(ran.mesh == again.mesh && ran.samples == again.samples);
+        assert!(ran.mesh != plain.mesh, "no cycle has helped");
+        assert!(ran.replayed == ran.mesh, "the edits that were told do not lead to the mesh");
+        assert!((98..=100).contains(&ran.mesh.faces.len()), "{}", ran.mesh.faces.len());
+        assert!(ran.samples.iter().all(|s| (98..=100).contains(&s.triangles)), "{:?}", ran.samples);
+        assert!(ran.samples.is_sorted_by_key(|s| s.evaluations));
+        assert!((11_000..13_000).contains(&ran.outcome.evaluations), "{:?}", ran.outcome);
+    }
+}
+
+#[test]
+fn a_cycle_that_does_not_help_leaves_no_trace() {
+    // Nothing is better than the model itself.
+    let original = shapes::torus(8, 6, 0.2);
+    let pictures = pictures(&original, Shading::Flat);
+    let ran = take_turns(&original, original.clone(), &pictures, &budget(6_000), 2_000);
+    assert!(ran.mesh == original && ran.replayed == original);
+    assert_eq!(ran.outcome.energy_after, 0);
+}
+
+#[test]
+fn turns_end_where_they_are_asked_to() {
+    let (original, simplified) = models();
+    let pictures = pictures(&original, Shading::Flat);
+    let params = Params { until: 0.8, ..budget(1 << 20) };
+    let outcome = take_turns(&original, simplified, &pictures, &params, 4_000).outcome;
+    assert_eq!(outcome.stopped_by, StoppedBy::Energy);
+    assert!(outcome.energy_after * 10 <= outcome.energy_before * 8, "{outcome:?}");
+    assert!(outcome.energy_after * 10 >= outcome.energy_before * 6, "{outcome:?}");
+}
+
 /// Normals are the mesh's own if it has any.
-fn take_turns(original: &Mesh, start: Mesh, pictures: &Pictures, params: &Params) -> Ran {
+fn take_turns(
+    original: &Mesh,
+    start: Mesh,
+    pictures: &Pictures,
+    params: &Params,
+    cycle: u64,
+) -> Ran {
     let has_normals = start.layer(Semantic::Normal).is_some();
     let center = bounding_sphere(original).center;
     let set = |turn| ViewSet::turned(original, pictures, center, turn);
@@ -199,7 +248,7 @@ fn take_turns(original: &Mesh, start: Mesh, pictures: &Pictures, params: &Params
     let outcome = alternate::<OptimizeError>(
         &mut mesh,
         params,
-        Turns { evaluations: 1_000, n_others: 1, steps: [12, 6, 12] },
+        Turns { evaluations: 1_000, n_others: 1, steps: [12, 6, 12], cycle },
         &sets,
         &mut |set, mesh| {
             turns.push(set);

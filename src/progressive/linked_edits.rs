@@ -56,13 +56,7 @@ use crate::mesh::{
 
 /// Puts an edit that describes the mesh of `replay`.
 pub(super) fn encode(streams: &mut Streams, replay: &Replay, edit: Edit<'_>) -> Result<(), Damage> {
-    let mut record = match edit {
-        Edit::Collapse(c) => EditRecord::Collapse(c.clone()),
-        Edit::Split(s) => EditRecord::Split(s.clone()),
-        Edit::Swap(s) => EditRecord::Swap(*s),
-        Edit::Displacement(d) => EditRecord::Displacement(*d),
-        Edit::Revalue(r) => EditRecord::Revalue(r.clone()),
-    };
+    let mut record = edit.to_record();
     let mut kind = match &record {
         EditRecord::Collapse(_) => COLLAPSE,
         EditRecord::Split(_) => SPLIT,

@@ -96,7 +96,7 @@ fn optimize_mesh(
 ) -> Result<Outcome, PipelineError> {
     let params = params::optimization(job.spec, budget, mesh.n_faces());
     let turns = params::turns(job.spec, budget, mesh.n_faces());
-    let n_sets = params::n_view_sets(job.spec);
+    let n_sets = params::n_view_sets(job.spec, budget);
     let studio = job.studio();
     while turns.is_some() && studio.sets().len() < n_sets {
         recorder.check()?;
@@ -106,7 +106,7 @@ fn optimize_mesh(
     let mut show = |set: usize, mesh: &EditMesh| Ok(studio.show(set, mesh)?);
     let mut on = |step: Step<'_>| recorder.step(&step);
     if let Some(turns) = turns {
-        return alternate(mesh, &params, turns, studio.sets(), &mut show, &mut on);
+        return alternate(mesh, &params, turns, &studio.sets()[..n_sets], &mut show, &mut on);
     }
     let mut objective = show(0, mesh)?;
     Ok(Optimizer::new(mesh, &mut objective, params).run(&mut on)?)

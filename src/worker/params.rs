@@ -81,35 +81,56 @@ pub fn optimization(spec: &Spec, budget: &Budget, n_faces: usize) -> optimize::P
 /// share of the start: 2,000 triangles .935 with turns and .968 without; 4,000 .991 and .962; 8,000 .995
 /// and .968 (200 evaluations a triangle: .997 and .957).
 const TURNS_FROM_PIXELS: u64 = 512;
-/// View sets that take turns and steps of the descents through them, by effort.
+/// How view sets take turns at an effort.
+struct Rota {
+    n_sets: usize,
+    /// Steps of descents: the first, those between, the last.
+    steps: [usize; 3],
+    /// Evaluations of a turn's moves, for each triangle.
+    turn: u64,
+}
+
+/// By effort.
 ///
 /// Bunny from memoryless simplification to 1,336 triangles, unseen d2 as a share of the start: at 40
 /// evaluations a triangle .832 with 6 sets and .839 with 16 and longer descents, at 200 .802 with 8 and
 /// .798 with 16. Drawing 16 sets of a model of 70,000 triangles takes two seconds. Fast, from image-driven
 /// simplification to 1,333 triangles (bunny, armadillo): .922 and .935 with 6 sets, whether the steps are
-/// these or 24 each, .925 and .946 with 4 sets.
-fn view_sets(effort: Effort) -> (usize, [usize; 3]) {
+/// these or 24 each, .925 and .946 with 4 sets. At 200, turns of 50 reach .797.
+fn rota(effort: Effort) -> Rota {
     match effort {
-        Effort::Fast => (6, [16, 12, 24]),
-        Effort::Balanced | Effort::Best => (16, [48, 24, 48]),
+        Effort::Fast => Rota { n_sets: 6, steps: [16, 12, 24], turn: 20 },
+        Effort::Balanced | Effort::Best => Rota { n_sets: 16, steps: [48, 24, 48], turn: 50 },
     }
+}
+
+/// The run-time views alone, where their energy is what was asked for: 63.1% after 200 evaluations a
+/// triangle (see [`rota`]), 60.6% after 740; with turns of 100 60.3%.
+const RUN_TIME_VIEWS: Rota = Rota { n_sets: 1, steps: [48, 24, 48], turn: 100 };
+
+/// Evaluations for each triangle of a cycle of more and fewer triangles (optimize/cycle.rs): at 200 .793
+/// with cycles of 100, .796 of 80 and of 140.
+const CYCLE: u64 = 100;
+
+fn rota_of(spec: &Spec, budget: &Budget) -> Rota {
+    if budget.until.is_some() { RUN_TIME_VIEWS } else { rota(spec.effort) }
 }
 
 /// Most bytes of the original's pictures in all view sets.
 const VIEW_SET_BYTES: usize = 128 << 20;
 
-/// How view sets take turns in the optimization of so many triangles; `None` where turns would not pay,
-/// and where the run-time pictures' energy is what was asked for.
+/// How view sets take turns in the optimization of so many triangles; `None` where turns would not pay.
 pub fn turns(spec: &Spec, budget: &Budget, n_faces: usize) -> Option<optimize::Turns> {
     let n = n_faces as u64;
-    let pays = budget.until.is_none() && n_pixels(spec) as u64 >= TURNS_FROM_PIXELS * n;
-    let (_, steps) = view_sets(spec.effort);
-    pays.then_some(optimize::Turns { evaluations: 20 * n, n_others: 3, steps })
+    let Rota { steps, turn, .. } = rota_of(spec, budget);
+    let pays = n_pixels(spec) as u64 >= TURNS_FROM_PIXELS * n;
+    let turns = optimize::Turns { evaluations: turn * n, n_others: 3, steps, cycle: CYCLE * n };
+    pays.then_some(turns)
 }
 
 /// Number of view sets, the run-time views among them.
-pub fn n_view_sets(spec: &Spec) -> usize {
-    (VIEW_SET_BYTES / n_pixels(spec).max(1)).clamp(2, view_sets(spec.effort).0)
+pub fn n_view_sets(spec: &Spec, budget: &Budget) -> usize {
+    (VIEW_SET_BYTES / n_pixels(spec).max(1)).clamp(1, rota_of(spec, budget).n_sets)
 }
 
 /// Pixels of all run-time views.

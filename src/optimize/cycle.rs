@@ -1,0 +1,231 @@
+//! Cycles of more and fewer triangles: where the pictures are worst, edges are split; all is optimized;
+//! then image-driven simplification goes back to as many triangles as before, and all is optimized again.
+//! Beyond the paper, which has its teleports change places one vertex at a time; "oversimplify, then
+//! reinsert" the other way round.
+//!
+//! Invariants:
+//! 1. a cycle happens wholly or not at all: it is kept if it lowers the energy in all view sets together,
+//!    and its edits are told then;
+//! 2. the mesh has at the end as many triangles as at the beginning, or one less.
+//!
+//! Measured, unseen d2 as a share of the start, bunny from memoryless simplification to 1,336 triangles, 16
+//! view sets: .793 after 200 evaluations a triangle (mean of three seeds, .791 to .796; turns alone .797),
+//! .786 after 540, .783 after 1,000 (turns alone .789 after 700). Energy in the run-time views where they
+//! alone are looked at: 60.1 to 60.8% after 740 (turns alone: 60.2% after 1,500).
+
+use std::ops::ControlFlow;
+
+use crate::{
+    memoryless,
+    mesh::{EditMesh, EditRecord, FaceId, Step, VertexId},
+    metric::{scene_as_drawn, slopes},
+    simplify::{self, Policy, Rules, Simplifier},
+};
+
+use super::{
+    alternate::{Alternation, Halt, Listener, Shower, Stretch, heard},
+    descent,
+    driver::OptimizeError,
+    params::StoppedBy,
+    rng::Rng,
+};
+
+/// Vertices that a cycle adds, as a share of those there are. With .1, .3 or .5 the energy is 1 to 2% higher
+/// after 500 evaluations a triangle.
+const SHARE: f64 = 0.2;
+/// Share of a cycle's evaluations that the mesh is optimized for while it is finer.
+const FINER_FOR: u64 = 5;
+/// The order of splits is changed at random by as much, so that cycles differ.
+const NOISE: f64 = 0.3;
+
+/// A run ends when so many cycles in a row have brought nothing.
+const MAX_FRUITLESS: u32 = 6;
+
+/// Image-driven simplification at effort fast, but for the search.
+const BATCH: usize = 32;
+const SEARCH_ROUNDS: u32 = 5;
+
+/// How far the pictures of all view sets are off.
+struct Residual {
+    energy: f64,
+    /// By triangle slot.
+    faces: Vec<f64>,
+}
+
+impl Alternation<'_> {
+    /// One cycle, until the run has spent `end` evaluations.
+    pub(super) fn cycle<E: From<OptimizeError>>(
+        &mut self,
+        mesh: &mut EditMesh,
+        end: u64,
+        show: &mut Shower<'_, E>,
+        on: &mut Listener<'_>,
+    ) -> Result<(), Halt<E>> {
+        let before = self.residual(mesh);
+        let mut trial = mesh.clone();
+        let mut edits = Vec::new();
+        let mut remember = |step: Step<'_>| match step {
+            Step::Edit(edit) => {
+                edits.push(edit.to_record());
+                ControlFlow::Continue(())
+            }
+            Step::Progress { .. } => on(step),
+            Step::Sample(_) | Step::Moves(_) => ControlFlow::Continue(()),
+        };
+        let ended = self.refine_and_coarsen(&mut trial, (&before, end), show, &mut remember);
+        if let Err(halt @ (Halt::Fault(_) | Halt::By(StoppedBy::Caller))) = ended {
+            return Err(halt);
+        }
+        let is_kept =
+            self.residual(&trial).energy < before.energy && trial.n_faces() <= mesh.n_faces();
+        if is_kept {
+            *mesh = trial;
+            edits.iter().try_for_each(|e| heard(on(Step::Edit(e.edit()))))?;
+            self.outcome.energy_after = show(0, mesh).map_err(Halt::Fault)?.energy();
+        } else {
+            self.forget(mesh);
+        }
+        self.n_fruitless = if is_kept { 0 } else { self.n_fruitless + 1 };
+        heard(self.sample(mesh, on))?;
+        match ended {
+            _ if self.n_fruitless >= MAX_FRUITLESS => Err(Halt::By(StoppedBy::Converged)),
+            Err(halt) if is_kept => Err(halt),
+            _ => Ok(()),
+        }
+    }
+
+    fn refine_and_coarsen<E: From<OptimizeError>>(
+        &mut self,
+        mesh: &mut EditMesh,
+        (residual, end): (&Residual, u64),
+        show: &mut Shower<'_, E>,
+        on: &mut Listener<'_>,
+    ) -> Result<(), Halt<E>> {
+        let (n_faces, spent) = (mesh.n_faces(), self.outcome.evaluations);
+        let finer_until = spent + end.saturating_sub(spent) / FINER_FOR;
+        let seed = self.params.seed ^ spent;
+        for split in refine(mesh, residual, &mut Rng::new(seed)) {
+            heard(on(Step::Edit(split.edit())))?;
+        }
+        self.forget(mesh);
+        self.take_turns(mesh, Stretch { end: finer_until, counts: false }, show, on)?;
+        self.coarsen(mesh, n_faces, show, on)?;
+        self.forget(mesh);
+        self.take_turns(mesh, Stretch { end, counts: true }, show, on)
+    }
+
+    /// Image-driven simplification to so many triangles.
+    fn coarsen<E: From<OptimizeError>>(
+        &mut self,
+        mesh: &mut EditMesh,
+        n_faces: usize,
+        show: &mut Shower<'_, E>,
+        on: &mut Listener<'_>,
+    ) -> Result<(), Halt<E>> {
+        let mut objective = show(self.some_set(), mesh).map_err(Halt::Fault)?;
+        let topology = self.params.topology();
+        let params = simplify::Params {
+            policy: Policy::Lazy,
+            rules: Rules { topology, memoryless: memoryless::Params::default() },
+            batch: BATCH,
+            ahead: 1,
+            search_rounds: SEARCH_ROUNDS,
+            max_evaluations: 0,
+        };
+        let outcome = Simplifier::new(mesh, &mut objective, params).run_to(n_faces, on);
+        self.outcome.evaluations += objective.evaluations();
+        match outcome.map_err(|fault| Halt::Fault(OptimizeError::from(fault).into()))?.stopped_by {
+            simplify::StoppedBy::Caller => Err(Halt::By(StoppedBy::Caller)),
+            _ => Ok(()),
+        }
+    }
+
+    /// What is remembered of a mesh is of no use for this one.
+    fn forget(&mut self, mesh: &EditMesh) {
+        self.memory = self.memory.take().map(|memory| memory.elsewhere(mesh, self.params));
+    }
+
+    /// Draws the mesh in all view sets.
+    fn residual(&mut self, mesh: &EditMesh) -> Residual {
+        let mut sum = Residual { energy: 0.0, faces: vec![0.0; mesh.n_face_slots()] };
+        for set in self.sets {
+            let scene = scene_as_drawn(mesh, &set.pictures, self.has_own_normals);
+            let found = slopes(&scene, &set.reference, self.has_own_normals);
+            sum.energy += found.energy;
+            sum.faces.iter_mut().zip(&found.faces).for_each(|(all, one)| *all += one);
+        }
+        self.outcome.evaluations += descent::cost_of_looks(mesh, self.sets.len());
+        sum
+    }
+}
+
+/// Splits edges in the middle where the pictures are worst, of a triangle's edges rather a long one, no two
+/// at one triangle.
+fn refine(mesh: &mut EditMesh, residual: &Residual, rng: &mut Rng) -> Vec<EditRecord> {
+    let mut wanted = (SHARE * mesh.n_vertices() as f64) as usize;
+    let mut is_taken = vec![false; mesh.n_face_slots()];
+    let mut splits = Vec::new();
+    for (_, [a, b]) in by_gain(mesh, residual, rng) {
+        let faces = mesh.edge_faces(a, b);
+        let is_free = |f: &FaceId| is_taken.get(f.index()) == Some(&false);
+        if wanted == 0 || !faces.iter().all(is_free) {
+            continue;
+        }
+        let middle = 0.5 * (mesh.position(a) + mesh.position(b));
+        splits.extend(mesh.split(a, b, middle).map(EditRecord::Split));
+        faces.iter().for_each(|f| is_taken[f.index()] = true);
+        wanted -= 1;
+    }
+    splits
+}
+
+/// Edges inside the surface, those whose split promises most first.
+fn by_gain(mesh: &EditMesh, residual: &Residual, rng: &mut Rng) -> Vec<(f64, [VertexId; 2])> {
+    let length = |[a, b]: [VertexId; 2]| mesh.position(a).distance(mesh.position(b));
+    let sides = |[a, b, c]: [VertexId; 3]| [[a, b], [b, c], [c, a]];
+    let mut edges = Vec::new();
+    for face in mesh.faces() {
+        for [a, b] in sides(mesh.vertices_of(face)).into_iter().filter(|[a, b]| a < b) {
+            let faces = mesh.edge_faces(a, b);
+            if faces.len() != 2 {
+                continue;
+            }
+            let around = faces.iter().flat_map(|f| sides(mesh.vertices_of(*f)));
+            let longest = around.map(length).fold(f64::MIN_POSITIVE, f64::max);
+            let energy: f64 = faces.iter().map(|f| residual.faces[f.index()]).sum();
+            let noise = 1.0 + NOISE * rng.below(1 << 20) as f64 / f64::from(1 << 20);
+            edges.push((noise * energy * length([a, b]) / longest, [a, b]));
+        }
+    }
+    edges.sort_by(|one, other| other.0.total_cmp(&one.0));
+    edges
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::shapes;
+
+    #[test]
+    fn the_worst_triangles_are_split_and_none_twice() {
+        let mut mesh = EditMesh::new(shapes::torus(12, 8, 0.0)).unwrap();
+        let (n_faces, n_vertices) = (mesh.n_faces(), mesh.n_vertices());
+        let worst = mesh.faces().nth(40).unwrap();
+        let mut faces = vec![1.0; mesh.n_face_slots()];
+        faces[worst.index()] = 1e6;
+        let splits = refine(&mut mesh, &Residual { energy: 1e6, faces }, &mut Rng::new(1));
+        mesh.validate().unwrap();
+        assert_eq!(splits.len(), (SHARE * n_vertices as f64) as usize);
+        assert_eq!(mesh.n_faces(), n_faces + 2 * splits.len());
+        let EditRecord::Split(first) = &splits[0] else { panic!("{:?}", splits[0]) };
+        assert!(first.halves.iter().any(|half| half.face == worst), "{first:?}");
+        let mut touched: Vec<FaceId> = (splits.iter())
+            .flat_map(|split| match split {
+                EditRecord::Split(split) => split.halves.iter().map(|h| h.face),
+                other => panic!("{other:?}"),
+            })
+            .collect();
+        touched.sort_unstable();
+        assert!(touched.windows(2).all(|w| w[0] != w[1]));
+    }
+}
