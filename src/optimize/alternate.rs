@@ -67,7 +67,7 @@ pub fn alternate<E: From<OptimizeError>>(
     show: &mut Shower<'_, E>,
     on: &mut Listener<'_>,
 ) -> Result<Outcome, E> {
-    let mut run = Alternation::new(&show(0, mesh)?, params, turns, sets);
+    let mut run = Alternation::new(mesh, &show(0, mesh)?, params, turns, sets);
     let ended = run.all(mesh, show, on);
     run.outcome.stopped_by = match ended {
         Ok(()) => StoppedBy::Evaluations,
@@ -116,6 +116,8 @@ pub(super) struct Alternation<'a> {
     pub params: &'a Params,
     pub turns: Turns,
     pub sets: &'a [ViewSet],
+    /// Triangles at first.
+    pub n_faces: usize,
     n_turns: usize,
     /// Descents so far, in steps: where the next one goes on in the view sets.
     n_steps: usize,
@@ -129,7 +131,13 @@ pub(super) struct Alternation<'a> {
 }
 
 impl<'a> Alternation<'a> {
-    fn new(objective: &Objective, params: &'a Params, turns: Turns, sets: &'a [ViewSet]) -> Self {
+    fn new(
+        mesh: &EditMesh,
+        objective: &Objective,
+        params: &'a Params,
+        turns: Turns,
+        sets: &'a [ViewSet],
+    ) -> Self {
         let energy = objective.energy();
         let outcome = Outcome {
             evaluations: 0,
@@ -142,6 +150,7 @@ impl<'a> Alternation<'a> {
             params,
             turns,
             sets,
+            n_faces: mesh.n_faces(),
             n_turns: 0,
             n_steps: 0,
             has_own_normals: objective.has_own_normals(),
@@ -292,7 +301,8 @@ impl<'a> Alternation<'a> {
         let params = Params {
             max_evaluations: self.left(mesh, stretch).min(self.turns.evaluations).max(1),
             until: if is_heard { self.params.until * first } else { 0.0 },
-            has_vertex_moves: self.turns.steps == [0; 3],
+            // Descents know no pixels: what is left to find for one set of pictures, searches find.
+            has_vertex_moves: self.sets.len() == 1,
             ..self.params.clone()
         };
         let mut optimizer = match self.memory.take() {

@@ -89,11 +89,11 @@ impl Memory {
 
 impl Memory {
     /// The same for a mesh that has nothing to do with the one it was of: what remains are the random
-    /// numbers and what the operations have brought.
+    /// numbers and what the operations have brought. It may have up to `n_faces` triangles.
     #[must_use]
-    pub fn elsewhere(self, mesh: &EditMesh, params: &Params) -> Self {
+    pub fn elsewhere(self, mesh: &EditMesh, n_faces: usize, params: &Params) -> Self {
         let Self { rng, statistics, n_uphill, .. } = self;
-        Self { rng, statistics, n_uphill, ..Self::new(mesh, params) }
+        Self { rng, statistics, n_uphill, n_faces, ..Self::new(mesh, params) }
     }
 
     /// Other pictures are looked at, or vertices were moved: what was found out is doubtful.
