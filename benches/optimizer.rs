@@ -13,7 +13,9 @@
 //! | `looks` | times to look at unseen views | 6 |
 //! | `views`, `size` | the pictures | 20, 256 |
 //! | `shading` | `flat`, `smooth`, or `normals`: smooth, by normals that are optimized too | `flat` |
-//! | `turn`, `others`, `last` | view sets in turn: evaluations for each triangle of a turn, turns between, and of the last | 0 (no turns), 1, as `turn` |
+//! | `turn`, `others`, `sets` | view sets in turn: evaluations for each triangle of a turn, turns between, number of sets | 0 (no turns), 3, 16 |
+//! | `first`, `steps`, `rest` | steps of descents: the first, those between, the last | 48, 24, 48 |
+//! | `cycle` | evaluations for each triangle of a cycle of more and fewer triangles | 0 (none) |
 //! | `until`, `seed`, `delta`, `solver`, `bits`, `rounds`, `edges`, `teleports`, `sweeps`, `uphill`, `holes` | the optimizer's own | its defaults |
 //! | `save` | a file to write the result to (GLB) | |
 //!

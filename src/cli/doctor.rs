@@ -152,8 +152,7 @@ fn absent(data_dir: &Path) -> Finding {
     let what = "store";
     let at = data_dir.display();
     // Tried in the nearest folder there is, so that nothing is left but what was there.
-    let above = data_dir.ancestors().skip(1).find(|path| path.exists());
-    let above = above.filter(|path| !path.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let above = data_dir.ancestors().skip(1).find(|path| path.exists()).unwrap_or(Path::new("."));
     let trial = above.join(format!(".lookalike-doctor-{}", std::process::id()));
     match fs::create_dir(&trial).and_then(|()| fs::remove_dir(&trial)) {
         Ok(()) => {

@@ -9,7 +9,8 @@
 //!
 //! Invariants:
 //! 1. turn 0 and every (n + 1)-th one after it show the views that the run is judged by; the n turns
-//!    between show the others, one set after the other; the last word has a descent in all views;
+//!    between show the others, one set after the other; the last word has a descent in all views, unless
+//!    the energy is low enough before;
 //! 2. samples come from the turns of 1 outside cycles, from the ends of cycles and from the end, with
 //!    the evaluations of all;
 //! 3. a descent counts as the evaluations that draw as many triangles.
@@ -26,7 +27,7 @@
 use std::ops::ControlFlow;
 
 use crate::{
-    mesh::{EditMesh, Sample, Stage, Step},
+    mesh::{EditMesh, EditRecord, Sample, Stage, Step},
     metric::{Objective, ViewSet, d2_percent},
 };
 
@@ -56,9 +57,8 @@ pub struct Turns {
     pub cycle: u64,
 }
 
-/// Optimizes in turns, each with the objective that `show` makes for it; descents see all of `sets`.
-/// `params.max_evaluations` must not be 0, and is for all turns together. `params.until` is looked at
-/// where the views that count are.
+/// Optimizes in turns, and single vertices in them if there is one set, each with the objective that `show` makes for it; descents see all of `sets`.
+/// `params.max_evaluations` must not be 0, and is for all turns together.
 pub fn alternate<E: From<OptimizeError>>(
     mesh: &mut EditMesh,
     params: &Params,
@@ -95,6 +95,20 @@ pub(super) fn heard<E>(flow: ControlFlow<()>) -> Result<(), Halt<E>> {
         ControlFlow::Break(()) => Err(Halt::By(StoppedBy::Caller)),
     }
 }
+
+/// Tells of edits that were made, all of them: whatever the caller says, the mesh has them.
+pub(super) fn tell(edits: &[EditRecord], on: &mut Listener<'_>) -> ControlFlow<()> {
+    let mut flow = ControlFlow::Continue(());
+    for edit in edits {
+        if on(Step::Edit(edit.edit())).is_break() {
+            flow = ControlFlow::Break(());
+        }
+    }
+    flow
+}
+
+/// A run ends when so many cycles in a row have brought nothing.
+const MAX_FRUITLESS: u32 = 6;
 
 /// One turn.
 struct Turn {
@@ -169,22 +183,32 @@ impl<'a> Alternation<'a> {
         on: &mut Listener<'_>,
     ) -> Result<(), Halt<E>> {
         heard(self.sample(mesh, on))?;
-        for end in self.cycles() {
-            if self.n_turns == 0 {
-                self.take_turns(mesh, Stretch { end, counts: true }, show, on)?;
-            } else {
-                self.cycle(mesh, end, show, on)?;
+        let (max, length) = (self.params.max_evaluations, self.turns.cycle);
+        let before_cycles = 2 * length / 5;
+        let n_cycles = max.saturating_sub(before_cycles).checked_div(length).unwrap_or(0);
+        if n_cycles > 0 {
+            self.take_turns(mesh, Stretch { end: before_cycles, counts: true }, show, on)?;
+            self.settle(mesh, show)?;
+        }
+        for k in 1..=n_cycles {
+            self.cycle(mesh, before_cycles + k * length, show, on)?;
+            let settled = self.settle(mesh, show);
+            heard(self.sample(mesh, on))?;
+            settled?;
+            if self.n_fruitless == MAX_FRUITLESS {
+                return Err(Halt::By(StoppedBy::Converged));
             }
         }
-        let rest = Stretch { end: self.params.max_evaluations, counts: true };
-        self.take_turns(mesh, rest, show, on)
+        self.take_turns(mesh, Stretch { end: max, counts: true }, show, on)?;
+        self.settle(mesh, show)
     }
 
-    /// Where the turns before cycles end, and each cycle.
-    fn cycles(&self) -> impl Iterator<Item = u64> + use<> {
-        let (first, length) = (2 * self.turns.cycle / 5, self.turns.cycle);
-        let n = (self.params.max_evaluations.saturating_sub(first)).checked_div(length);
-        (0..=n.unwrap_or(0)).filter(move |_| n > Some(0)).map(move |k| first + k * length)
+    /// Looks whether the energy is as low as was asked.
+    fn settle<E>(&mut self, mesh: &EditMesh, show: &mut Shower<'_, E>) -> Result<(), Halt<E>> {
+        self.outcome.energy_after = show(0, mesh).map_err(Halt::Fault)?.energy();
+        let wanted = self.params.until * self.outcome.energy_before as f64;
+        let is_low = self.outcome.energy_after as f64 <= wanted;
+        if is_low { Err(Halt::By(StoppedBy::Energy)) } else { Ok(()) }
     }
 
     /// A point of the energy curve between turns.
@@ -281,7 +305,7 @@ impl<'a> Alternation<'a> {
         self.n_steps += n_steps;
         self.outcome.evaluations += cost;
         match descent::descend(mesh, self.sets, steps, unknowns, &mut on_step) {
-            ControlFlow::Continue(edits) => edits.iter().try_for_each(|e| on(Step::Edit(e.edit()))),
+            ControlFlow::Continue(edits) => tell(&edits, on),
             ControlFlow::Break(()) => ControlFlow::Break(()),
         }
     }
@@ -302,7 +326,7 @@ impl<'a> Alternation<'a> {
             max_evaluations: self.left(mesh, stretch).min(self.turns.evaluations).max(1),
             until: if is_heard { self.params.until * first } else { 0.0 },
             // Descents know no pixels: what is left to find for one set of pictures, searches find.
-            has_vertex_moves: self.sets.len() == 1,
+            has_vertex_moves: self.params.has_vertex_moves && self.sets.len() == 1,
             ..self.params.clone()
         };
         let mut optimizer = match self.memory.take() {

@@ -211,12 +211,46 @@ fn cycles_keep_the_triangles_and_tell_the_edits_of_those_that_helped() {
 
 #[test]
 fn a_cycle_that_does_not_help_leaves_no_trace() {
-    // Nothing is better than the model itself.
-    let original = shapes::torus(8, 6, 0.2);
+    let (original, simplified) = models();
     let pictures = pictures(&original, Shading::Flat);
-    let ran = take_turns(&original, original.clone(), &pictures, &budget(6_000), 2_000);
-    assert!(ran.mesh == original && ran.replayed == original);
-    assert_eq!(ran.outcome.energy_after, 0);
+    let good = take_turns(&original, simplified, &pictures, &budget(20_000), 0);
+    // So short that nothing is optimized after a cycle's splits and collapses.
+    let ran = take_turns(&original, good.mesh.clone(), &pictures, &budget(20_000), 100);
+    assert_eq!(ran.outcome.stopped_by, StoppedBy::Converged);
+    assert!(ran.replayed == ran.mesh && ran.mesh.faces == good.mesh.faces);
+    let energy = ran.samples[ran.samples.len() - 1].energy;
+    // The first sample, those of six cycles, the last.
+    assert!(ran.samples.len() == 8 && ran.samples[1..].iter().all(|s| s.energy == energy));
+}
+
+#[test]
+fn what_is_told_is_what_was_done_wherever_the_caller_breaks_off() {
+    let (original, simplified) = models();
+    let pictures = pictures(&original, Shading::Flat);
+    let center = bounding_sphere(&original).center;
+    let sets = [0, 1].map(|turn| ViewSet::turned(&original, &pictures, center, turn));
+    for n_edits in [1, 60, 200, 400] {
+        let mut mesh = EditMesh::new(simplified.clone()).unwrap();
+        let mut replay = EditMesh::new(simplified.clone()).unwrap();
+        let mut n_told = 0;
+        let outcome = alternate::<OptimizeError>(
+            &mut mesh,
+            &budget(20_000),
+            Turns { evaluations: 1_000, n_others: 1, steps: [12, 6, 12], cycle: 3_000 },
+            &sets,
+            &mut |set, mesh| Ok(show(&original, &sets[set].pictures, mesh, false)),
+            &mut |step| {
+                if let Step::Edit(edit) = step {
+                    replay.redo(edit);
+                    n_told += 1;
+                }
+                let is_over = n_told >= n_edits;
+                if is_over { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+            },
+        );
+        assert_eq!(outcome.unwrap().stopped_by, StoppedBy::Caller);
+        assert!(replay.snapshot() == mesh.snapshot(), "broken off after {n_edits} edits");
+    }
 }
 
 #[test]

@@ -35,8 +35,8 @@ pub struct Choice {
     pub notes: Vec<String>,
 }
 
-/// Builds the evaluator that `choice` names: `cpu` (the native twin), `auto` (the fastest, by
-/// measurement on this scene), or a part of an adapter's name in any case; `lavapipe` is known as
+/// Builds the evaluator that `choice` names: `cpu` (the native twin), `auto` (the fastest of the twin and
+/// all GPUs, by measurement on this scene), or a part of an adapter's name in any case; `lavapipe` is known as
 /// well as `llvmpipe`.
 pub fn choose(choice: &str, scene: &Scene, reference: Reference) -> Result<Choice, RenderError> {
     match choice {
@@ -81,7 +81,7 @@ fn named(name: &str, scene: &Scene, reference: Reference) -> Result<Choice, Rend
 const NO_DRIVER: &str = "no Vulkan driver; Debian's package `mesa-vulkan-drivers` brings one";
 
 /// Measures the twin, which always is there, against every GPU. Not the adapters that compute on the
-/// processor: the twin does so at twice their speed or more (benches/evaluator.rs), and opening one takes
+/// processor: the twin does so at twice to five times their speed (benches/evaluator.rs), and opening one takes
 /// as long as a small job.
 fn fastest(scene: &Scene, reference: Reference) -> Choice {
     let mut best = Choice::of(Box::new(Twin::new(scene, &reference)));

@@ -20,7 +20,7 @@ use crate::{
 
 use super::{critic::Critic, optimizing, recorder::Recorder, results, simplifying, studio::Studio};
 
-/// Which evaluator to use: `auto` measures and takes the fastest, `cpu` is the native twin,
+/// Which evaluator to use: `auto` takes the fastest of the native twin and all GPUs, `cpu` is the twin,
 /// anything else names an adapter.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DeviceChoice(pub String);
