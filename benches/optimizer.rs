@@ -476,7 +476,7 @@ fn by_pictures(stage: &Stage<'_>, n: u32) -> Mesh {
     let params = simplify::Params {
         policy: Policy::Eager,
         rules,
-        batch: 32,
+        batch: simplify::BATCH,
         ahead: 1,
         search_rounds: 5,
         max_evaluations: 0,

@@ -57,8 +57,9 @@ pub struct Turns {
     pub cycle: u64,
 }
 
-/// Optimizes in turns, and single vertices in them if there is one set, each with the objective that `show` makes for it; descents see all of `sets`.
-/// `params.max_evaluations` must not be 0, and is for all turns together.
+/// Optimizes in turns, each with the objective that `show` makes for it; descents see all of `sets`. If
+/// there is one set, turns search single vertices too. `params.max_evaluations` must not be 0, and is
+/// for all turns together.
 pub fn alternate<E: From<OptimizeError>>(
     mesh: &mut EditMesh,
     params: &Params,
@@ -184,6 +185,7 @@ impl<'a> Alternation<'a> {
     ) -> Result<(), Halt<E>> {
         heard(self.sample(mesh, on))?;
         let (max, length) = (self.params.max_evaluations, self.turns.cycle);
+        // Measured with cycles of 100 evaluations a triangle after the first 40.
         let before_cycles = 2 * length / 5;
         let n_cycles = max.saturating_sub(before_cycles).checked_div(length).unwrap_or(0);
         if n_cycles > 0 {
@@ -239,6 +241,7 @@ impl<'a> Alternation<'a> {
         heard(self.descend(mesh, self.affordable(mesh, stretch), on))
     }
 
+    /// Steps of the descent that ends a stretch, if there are evaluations enough.
     fn last_steps(&self, stretch: Stretch) -> usize {
         self.turns.steps[if stretch.counts { 2 } else { 1 }]
     }

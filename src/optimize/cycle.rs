@@ -4,8 +4,9 @@
 //! reinsert" the other way round.
 //!
 //! Invariants:
-//! 1. a cycle happens wholly or not at all: it is kept if it lowers the energy in all view sets together,
-//!    and its edits are told then;
+//! 1. a cycle is kept if it lowers the energy in all view sets together, and its edits are told then; else
+//!    it leaves no trace. One that is broken off ends there, and is kept only if it had come back to as many
+//!    triangles as before;
 //! 2. the mesh has at the end no more triangles than at the beginning of the run, and hardly less (see
 //!    `teleport.rs`).
 //!
@@ -37,13 +38,12 @@ use super::{
 /// Vertices that a cycle adds, as a share of those there are. With .1, .3 or .5 the energy is 1 to 2% higher
 /// after 500 evaluations a triangle.
 const SHARE: f64 = 0.2;
-/// Share of a cycle's evaluations that the mesh is optimized for while it is finer.
+/// Of a cycle's evaluations, the mesh is finer for one in so many.
 const FINER_FOR: u64 = 5;
 /// The order of splits is changed at random by as much, so that cycles differ.
 const NOISE: f64 = 0.3;
 
-/// Image-driven simplification at effort fast, but for the search.
-const BATCH: usize = 32;
+/// Rounds of the searches of image-driven simplification, which is at effort fast otherwise.
 const SEARCH_ROUNDS: u32 = 5;
 
 /// How far the pictures of all view sets are off.
@@ -124,7 +124,7 @@ impl Alternation<'_> {
         let params = simplify::Params {
             policy: Policy::Lazy,
             rules: Rules { topology, memoryless: memoryless::Params::default() },
-            batch: BATCH,
+            batch: simplify::BATCH,
             ahead: 1,
             search_rounds: SEARCH_ROUNDS,
             max_evaluations: 0,

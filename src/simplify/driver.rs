@@ -27,6 +27,9 @@ pub enum Policy {
     Eager,
 }
 
+/// A good [`Params::batch`] (spec: evaluator.md, speculation table).
+pub const BATCH: usize = 32;
+
 /// Parameters of image-driven simplification.
 #[derive(Clone, Debug)]
 pub struct Params {

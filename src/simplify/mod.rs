@@ -10,4 +10,4 @@ mod queue;
 mod tests;
 
 pub use candidates::Rules;
-pub use driver::{Outcome, Params, Policy, Simplifier, SimplifyError, StoppedBy};
+pub use driver::{BATCH, Outcome, Params, Policy, Simplifier, SimplifyError, StoppedBy};

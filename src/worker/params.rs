@@ -34,9 +34,6 @@ fn topology(spec: &Spec) -> Topology {
     }
 }
 
-/// Edges judged at once when the queue needs fresh keys (spec: evaluator.md, speculation table).
-const BATCH: usize = 32;
-
 /// Image-driven parameters: what each effort means.
 pub fn image(spec: &Spec) -> simplify::Params {
     let (policy, ahead, search_rounds) = match spec.effort {
@@ -47,7 +44,7 @@ pub fn image(spec: &Spec) -> simplify::Params {
     simplify::Params {
         policy,
         rules: Rules { topology: topology(spec), memoryless: memoryless(spec) },
-        batch: BATCH,
+        batch: simplify::BATCH,
         ahead,
         search_rounds,
         max_evaluations: spec.max_evaluations,
