@@ -44,6 +44,8 @@ pub fn cluster(original: &Mesh, target: usize) -> Mesh {
         positions: original.positions.clone(),
         layers: original.layers.clone(),
         materials: original.materials.clone(),
+        textures: original.textures.clone(),
+        images: original.images.clone(),
     };
     let all = (0..mesh.faces.len() as u32).map(FaceId).collect();
     mesh.subset(all).mesh

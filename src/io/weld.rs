@@ -286,6 +286,7 @@ impl Joiner {
             face_materials: self.face_materials,
             layers: split_layers(&self.layers, &self.wedges.into_words()),
             materials,
+            ..Mesh::default()
         }
     }
 }

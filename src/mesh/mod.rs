@@ -28,7 +28,8 @@ pub use edit_mesh::EditMesh;
 pub use error::{MAX_FACES, MeshError, Violation};
 pub use legality::{Legality, Topology};
 pub use model::{
-    AttributeLayer, Corner, EdgeId, FaceId, Material, Mesh, Semantic, VertexId, WedgeId,
+    AttributeLayer, Corner, EdgeId, FaceId, Image, Material, Mesh, Pixels, Semantic, Texture,
+    TextureUse, VertexId, WedgeId, Wrap,
 };
 pub use snapshot::Snapshot;
 pub use step::{MoveCount, Sample, Stage, Step};

@@ -10,7 +10,10 @@
 //! 3. `face_wedges` is empty when `layers` is empty, else as long as `faces`, and every index
 //!    is below `n_wedges()`;
 //! 4. every layer holds `n_wedges() * width` values;
-//! 5. `face_materials` is empty (all faces use material 0) or as long as `faces`.
+//! 5. `face_materials` is empty (all faces use material 0) or as long as `faces`;
+//! 6. textures of materials and images of textures that are out of range count as absent.
+
+use std::sync::Arc;
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -110,6 +113,72 @@ impl AttributeLayer {
     }
 }
 
+/// How a texture goes on beyond its edges.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Wrap {
+    /// Again and again.
+    #[default]
+    Repeat,
+    /// Again and again, every other time reversed.
+    Mirror,
+    /// The edge's colour.
+    Clamp,
+}
+
+/// A picture, as the file has it and as it is drawn.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Image {
+    /// Name in the source file, may be empty.
+    pub name: String,
+    /// Media type, such as `image/png`.
+    pub mime: String,
+    /// The encoded bytes, untouched.
+    pub bytes: Arc<[u8]>,
+    /// Decoded, where the image is seen in pictures.
+    pub pixels: Option<Arc<Pixels>>,
+}
+
+/// A decoded image.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Pixels {
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// `4 * width * height` bytes, row by row from the top: red, green, blue, alpha, as encoded
+    /// (not linear).
+    pub rgba: Vec<u8>,
+}
+
+/// An image and how it is sampled.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Texture {
+    /// Name in the source file, may be empty.
+    pub name: String,
+    /// Index into [`Mesh::images`]; `None` where an extension names an image that is not read.
+    pub image: Option<u32>,
+    /// Beyond the edges, rightwards and downwards.
+    pub wrap: [Wrap; 2],
+    /// glTF's magnification and minification filters, which pictures ignore.
+    pub filters: [Option<u32>; 2],
+}
+
+/// A texture on a surface.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TextureUse {
+    /// Index into [`Mesh::textures`].
+    pub texture: u32,
+    /// Which set of coordinates ([`Semantic::TexCoord`]).
+    pub tex_coord: u32,
+    /// Where coordinates (u, v) look: rows `a u + b v + c` (KHR_texture_transform).
+    pub transform: [[f32; 3]; 2],
+}
+
+impl TextureUse {
+    /// No transform.
+    pub const IDENTITY: [[f32; 3]; 2] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+}
+
 /// Surface appearance of a set of faces.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Material {
@@ -117,15 +186,27 @@ pub struct Material {
     pub name: String,
     /// Linear RGBA factor.
     pub base_color: [f32; 4],
+    /// Multiplies the factor.
+    pub base_texture: Option<TextureUse>,
     /// Whether back faces are drawn.
     pub double_sided: bool,
     /// Drawn without lighting.
     pub unlit: bool,
+    /// The glTF material that this was read from, word for word: what is not modelled here is
+    /// written as it was read. Its texture indices are those of [`Mesh::textures`].
+    pub source: Option<serde_json::Value>,
 }
 
 impl Default for Material {
     fn default() -> Self {
-        Self { name: String::new(), base_color: [1.0; 4], double_sided: true, unlit: false }
+        Self {
+            name: String::new(),
+            base_color: [1.0; 4],
+            base_texture: None,
+            double_sided: true,
+            unlit: false,
+            source: None,
+        }
     }
 }
 
@@ -144,6 +225,10 @@ pub struct Mesh {
     pub layers: Vec<AttributeLayer>,
     /// Materials; may be empty (then faces are drawn white).
     pub materials: Vec<Material>,
+    /// What materials refer to.
+    pub textures: Vec<Texture>,
+    /// What textures refer to.
+    pub images: Vec<Image>,
 }
 
 impl Mesh {

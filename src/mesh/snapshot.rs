@@ -41,6 +41,8 @@ impl Mesh {
             face_materials: materials_of.map(|&f| self.material_of(f)).collect(),
             layers,
             materials: self.materials.clone(),
+            textures: self.textures.clone(),
+            images: self.images.clone(),
         };
         Snapshot { mesh, face_ids, vertex_ids: vertex_ids.into_iter().map(VertexId).collect() }
     }

@@ -75,7 +75,10 @@ pub fn alternate<E: From<OptimizeError>>(
         Err(Halt::By(by)) => by,
         Err(Halt::Fault(fault)) => return Err(fault),
     };
-    run.outcome.energy_after = show(0, mesh)?.energy();
+    if run.outcome.stopped_by != StoppedBy::Evaluations {
+        // A run that comes to its end has looked.
+        run.outcome.energy_after = show(0, mesh)?.energy();
+    }
     run.n_turns += 1;
     if run.sample(mesh, on).is_break() {
         run.outcome.stopped_by = StoppedBy::Caller;

@@ -160,6 +160,7 @@ impl MaterialEntry {
             base_color: self.base_color.map(|c| c as f32),
             double_sided: self.double_sided,
             unlit: self.unlit,
+            ..Material::default()
         }
     }
 }

@@ -223,6 +223,7 @@ impl Replay {
             face_materials: self.face_materials.clone(),
             layers,
             materials: self.materials.clone(),
+            ..Mesh::default()
         }
     }
 

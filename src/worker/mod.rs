@@ -12,6 +12,7 @@ pub mod attempt;
 mod branch;
 mod budget;
 mod critic;
+mod illustrator;
 mod levels;
 pub mod link;
 mod optimizing;

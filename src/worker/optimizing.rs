@@ -35,7 +35,7 @@ pub(super) fn run<'j>(
     let mut figures = StageFigures::prepare(Stage::Optimize);
     recorder.enter(Stage::Optimize, 0, 0);
     if job.spec.optimize.normals {
-        job.studio().use_own_normals();
+        job.studio.use_own_normals();
     }
     let total = triangles.iter().sum::<usize>() as f64;
     let mut done = 0.0;
@@ -63,7 +63,7 @@ fn optimize<'j>(
     let begun = (level.mesh.clone(), editable(&level.mesh)?);
     let branch =
         Branch::new(level.index as u32, begun, critic, budget, (figures.evaluations, span));
-    figures.start(&job.studio().evaluator(&mesh, recorder)?);
+    figures.start(&job.studio.evaluator(&mesh, recorder)?);
     recorder.begin_branch(&level.name(), branch)?;
     let outcome = optimize_mesh(job, &mut mesh, &budget, recorder)?;
     if !recorder.is_out_of_time() {
@@ -97,7 +97,7 @@ fn optimize_mesh(
     let params = params::optimization(job.spec, budget, mesh.n_faces());
     let turns = params::turns(job.spec, budget, mesh.n_faces());
     let n_sets = params::n_view_sets(job.spec, budget);
-    let studio = job.studio();
+    let studio = &mut job.studio;
     while turns.is_some() && studio.sets().len() < n_sets {
         recorder.check()?;
         studio.add_set();

@@ -5,7 +5,7 @@
 //!    input, the specification and the build alone, not on the device, threads or time;
 //! 2. every accepted edit is recorded once, in order, in the stream and in `progressive.lkpm`.
 
-use std::{cell::OnceCell, ops::ControlFlow, path::Path, time::Instant};
+use std::{ops::ControlFlow, path::Path, sync::OnceLock, thread, time::Instant};
 
 use crate::{
     io,
@@ -18,7 +18,14 @@ use crate::{
     simplify::SimplifyError,
 };
 
-use super::{critic::Critic, optimizing, recorder::Recorder, results, simplifying, studio::Studio};
+use super::{
+    critic::Critic,
+    illustrator::{Plan, draw_ahead},
+    optimizing, params,
+    recorder::Recorder,
+    results, simplifying,
+    studio::Studio,
+};
 
 /// Which evaluator to use: `auto` takes the fastest of the native twin and all GPUs, `cpu` is the twin,
 /// anything else names an adapter.
@@ -115,20 +122,10 @@ pub(super) struct Job<'j> {
     pub spec: &'j Spec,
     /// The original, with vertex normals where they are to be optimized.
     pub original: &'j Mesh,
-    /// Which evaluator.
-    pub device: &'j DeviceChoice,
-    /// The pictures of the original, once a stage has asked for them.
-    pub studio: Option<Studio<'j>>,
-    /// The unseen pictures, likewise.
-    pub critic: &'j OnceCell<Critic<'j>>,
-}
-
-impl<'j> Job<'j> {
-    /// The studio, opened when it is first asked for.
-    pub fn studio(&mut self) -> &mut Studio<'j> {
-        let (spec, original, device) = (self.spec, self.original, self.device);
-        self.studio.get_or_insert_with(|| Studio::open(spec, original, device))
-    }
+    /// The pictures of the original, and who judges by them.
+    pub studio: Studio<'j>,
+    /// The unseen pictures, once they are drawn.
+    pub critic: &'j OnceLock<Critic<'j>>,
 }
 
 /// Runs the whole job: reads its inputs, writes every artifact into `out_dir`, and tells `on` of
@@ -146,20 +143,27 @@ pub fn run(
         (read(&inputs.original)?, inputs.simplified.as_ref().map(read).transpose()?);
     let ingest = original.report;
     let original = prepared(spec, original.mesh);
-    let critic = OnceCell::new();
+    let critic = OnceLock::new();
     let base = simplifying::base(spec, &original, simplified.as_ref());
     let mut recorder = Recorder::new(spec, &base, start, on)?;
     recorder.announce("model", &ingest)?;
     if let Some(simplified) = &simplified {
         recorder.announce("simplified mesh", &simplified.report)?;
     }
-    let mut job = Job { spec, original: &original, device, studio: None, critic: &critic };
-
     let mut figures = Vec::new();
-    let mut levels = simplifying::run(&mut job, base, &mut recorder, &mut figures)?;
-    if spec.optimizes() {
-        figures.extend(optimizing::run(&mut job, &mut levels, &mut recorder, &figures)?);
-    }
+    let pictures = params::pictures(spec, &original);
+    let n_coarsest = spec.triangles.iter().min().map_or(base.faces.len(), |n| *n as usize);
+    let levels = thread::scope(|scope| {
+        let plan = Plan::new(spec, n_coarsest);
+        let drawn = draw_ahead(scope, plan, (spec, &original), pictures.clone(), &critic);
+        let studio = Studio::new(&original, pictures, drawn, device);
+        let mut job = Job { spec, original: &original, studio, critic: &critic };
+        let mut levels = simplifying::run(&mut job, base, &mut recorder, &mut figures)?;
+        if spec.optimizes() {
+            figures.extend(optimizing::run(&mut job, &mut levels, &mut recorder, &figures)?);
+        }
+        Ok::<_, PipelineError>(levels)
+    })?;
 
     let attempt = results::Attempt { spec, ingest: &ingest, figures: &figures, start };
     results::write_all(out_dir, &original, &levels, &mut recorder, &attempt)

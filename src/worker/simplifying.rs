@@ -121,8 +121,8 @@ fn image_stage(
     recorder: &mut Recorder<'_>,
 ) -> Result<StageFigures, PipelineError> {
     let mut figures = StageFigures::prepare(Stage::Image);
-    figures.start(&job.studio().evaluator(mesh, recorder)?);
-    let mut objective = job.studio().show(0, mesh)?;
+    figures.start(&job.studio.evaluator(mesh, recorder)?);
+    let mut objective = job.studio.show(0, mesh)?;
     recorder.enter(Stage::Image, mesh.n_faces(), levels.least());
     let params = params::image(job.spec);
     let mut simplifier = simplify::Simplifier::new(mesh, &mut objective, params);

@@ -1,16 +1,16 @@
 //! The pictures of the original, and who judges by them: one studio serves every stage of a job.
 
+use std::sync::mpsc::Receiver;
+
 use glam::DVec3;
 
 use crate::{
-    jobs::spec::Spec,
     mesh::{EditMesh, Mesh},
     metric::{Objective, Pictures, ViewSet, bounding_sphere, scene_as_drawn},
     render::{RenderError, Scene, choose},
 };
 
 use super::{
-    params,
     pipeline::{DeviceChoice, PipelineError},
     recorder::Recorder,
 };
@@ -22,8 +22,11 @@ const TWIN: (&str, &str) = ("cpu", "native");
 pub(super) struct Studio<'m> {
     original: &'m Mesh,
     center: DVec3,
+    base: Pictures,
     /// The run-time views, then the same turned.
     sets: Vec<ViewSet>,
+    /// Sets that are drawn ahead (`illustrator.rs`).
+    drawn: Receiver<ViewSet>,
     /// As asked for; once it was measured, the one that was fastest.
     device: String,
     /// What the fastest calls itself, once it was measured.
@@ -32,14 +35,19 @@ pub(super) struct Studio<'m> {
 }
 
 impl<'m> Studio<'m> {
-    /// Draws the original from all sides.
-    pub fn open(spec: &Spec, original: &'m Mesh, device: &DeviceChoice) -> Self {
-        let pictures = params::pictures(spec, original);
-        let center = bounding_sphere(original).center;
+    /// Of pictures like these, which `drawn` brings as far as they are drawn ahead.
+    pub fn new(
+        original: &'m Mesh,
+        base: Pictures,
+        drawn: Receiver<ViewSet>,
+        device: &DeviceChoice,
+    ) -> Self {
         Self {
             original,
-            center,
-            sets: vec![ViewSet::turned(original, &pictures, center, 0)],
+            center: bounding_sphere(original).center,
+            base,
+            sets: Vec::new(),
+            drawn,
             device: device.0.clone(),
             evaluator: None,
             has_own_normals: false,
@@ -56,13 +64,15 @@ impl<'m> Studio<'m> {
         &self.sets
     }
 
-    /// Draws the original in one set of views more.
+    /// Adds the original in one set of views more.
     pub fn add_set(&mut self) {
-        let (turn, base) = (self.sets.len() as u64, &self.sets[0].pictures);
-        self.sets.push(ViewSet::turned(self.original, base, self.center, turn));
+        let turn = self.sets.len() as u64;
+        let draw = |_| ViewSet::turned(self.original, &self.base, self.center, turn);
+        self.sets.push(self.drawn.recv().unwrap_or_else(draw));
     }
 
-    /// Who computes: measured with this mesh, and told, when it is first asked.
+    /// Who computes: measured with this mesh, and told, when it is first asked. Draws the run-time views
+    /// where they are lacking.
     pub fn evaluator(
         &mut self,
         mesh: &EditMesh,
@@ -70,6 +80,9 @@ impl<'m> Studio<'m> {
     ) -> Result<String, PipelineError> {
         if let Some(name) = &self.evaluator {
             return Ok(name.clone());
+        }
+        if self.sets.is_empty() {
+            self.add_set();
         }
         let set = &self.sets[0];
         let choice = choose(&self.device, &self.scene(mesh, &set.pictures), set.reference.clone())?;

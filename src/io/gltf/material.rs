@@ -17,6 +17,7 @@ pub(super) fn read_materials(document: &Document<'_>, soup: &mut Soup) {
             base_color: material.pbr_metallic_roughness.base_color_factor.0.map(finite_or_one),
             double_sided: material.double_sided,
             unlit: material.extensions.as_ref().is_some_and(|e| e.unlit.is_some()),
+            ..Material::default()
         });
     }
 }

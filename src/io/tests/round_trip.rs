@@ -56,9 +56,10 @@ fn rich_square() -> Mesh {
                 name: String::new(),
                 base_color: [0.1, 0.2, 0.3, 1.0],
                 double_sided: false,
-                unlit: false,
+                ..Material::default()
             },
         ],
+        ..Mesh::default()
     }
 }
 

@@ -181,6 +181,7 @@ impl Plain {
             face_materials: alive.iter().filter_map(|(i, _)| materials.get(*i).copied()).collect(),
             layers,
             materials: self.source.materials.clone(),
+            ..Mesh::default()
         }
     }
 }
