@@ -206,7 +206,7 @@ fn prepare(original: &Mesh, n_triangles: u32) -> (Scene, Reference, Vec<Move>) {
     let reference = reference_pictures(original, &pictures);
     let scene = scene_of_edit_mesh(&mesh, &pictures);
     let twin = make_evaluator("cpu", &scene, reference.clone()).expect("the twin is always there");
-    let objective = Objective::new(&mesh, scene.clone(), twin);
+    let objective = Objective::new(&mesh, &pictures.palette, scene.clone(), twin);
     let table = EdgeTable::new(&mesh);
     let mut edges: Vec<_> = table.edges().collect();
     shuffle(&mut edges);
@@ -238,7 +238,7 @@ fn pictures(original: &Mesh) -> Pictures {
         background: 128,
         interior_views: 0,
     };
-    Pictures { views: cameras(&bounding_sphere(original), &view_params), params }
+    Pictures::of(original, params, cameras(&bounding_sphere(original), &view_params))
 }
 
 /// The same order every time.

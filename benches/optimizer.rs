@@ -227,7 +227,7 @@ impl<'m> Stage<'m> {
             interior_views: 0,
         };
         let views = cameras(&bounding_sphere(original), &view_params);
-        let pictures = Pictures { views, params };
+        let pictures = Pictures::of(original, params, views);
         Self {
             original,
             reference: reference_pictures(original, &pictures),
@@ -248,7 +248,8 @@ impl<'m> Stage<'m> {
         let reference = set.reference.clone();
         let inner = make_evaluator("cpu", &scene, reference.clone()).expect("the twin");
         let timed = Box::new(Timed { inner, spent: Arc::clone(&self.spent) });
-        let objective = Objective::new(mesh, scene, timed).with_reference(reference);
+        let objective = Objective::new(mesh, &set.pictures.palette, scene, timed);
+        let objective = objective.with_reference(reference);
         if self.has_normals { objective.with_own_normals() } else { objective }
     }
 }
@@ -471,7 +472,7 @@ fn by_pictures(stage: &Stage<'_>, n: u32) -> Mesh {
     let mut mesh = EditMesh::new(by_geometry(stage.original, 4 * n)).expect("a mesh");
     let scene = scene_of_edit_mesh(&mesh, &stage.pictures);
     let evaluator = make_evaluator("cpu", &scene, stage.reference.clone()).expect("the twin");
-    let mut objective = Objective::new(&mesh, scene, evaluator);
+    let mut objective = Objective::new(&mesh, &stage.pictures.palette, scene, evaluator);
     let rules = Rules { topology: Topology::Preserve, memoryless: memoryless::Params::default() };
     let params = simplify::Params {
         policy: Policy::Eager,

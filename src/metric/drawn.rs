@@ -8,12 +8,12 @@
 use glam::{DVec2, DVec3};
 
 use crate::render::{
-    Scene, SceneFace, Shading, for_each_run, for_each_setup,
+    Painted, Scene, SceneFace, Shading, for_each_run, for_each_setup,
     lattice::{DEPTH_BITS, Setup},
     view::{Projection, View},
 };
 
-use super::slopes::Slopes;
+use super::slopes::{Slope, Slopes, outer};
 
 /// No triangle: the background.
 const NOTHING: u32 = u32::MAX;
@@ -31,6 +31,8 @@ pub struct Drawn<'s> {
     shades: Vec<Shade>,
     /// By triangle.
     sides: Vec<[Side; 3]>,
+    /// By triangle; empty where there are no textures.
+    paints: Vec<Option<Painted>>,
 }
 
 /// How a triangle is lit.
@@ -41,7 +43,7 @@ struct Shade {
     /// Flat: how the luminance changes with each corner's place. Smooth: how each corner's luminance
     /// changes with its normal.
     by: [DVec3; 3],
-    /// Shares of the corners at pixel (0, 0), and their changes to the right and down (smooth only).
+    /// Shares of the corners at pixel (0, 0), and their changes to the right and down (smooth or textured only).
     shares: [[f64; 3]; 3],
 }
 
@@ -49,13 +51,15 @@ struct Shade {
 #[derive(Clone, Copy, Default)]
 struct Seen {
     n: f64,
-    /// Luminance too much.
+    /// Luminance too much, weighted by the texture's.
     off: f64,
     /// The same, weighted by the corners' shares; and the sums of the squares of these.
     off_by_share: [f64; 3],
     squares: [f64; 3],
     /// What changes as the ends of its sides move along the sides' axes: slopes and bends.
     sides: [[[f64; 2]; 2]; 3],
+    /// What changes as the corners take the texture along.
+    drags: [Drag; 3],
 }
 
 impl<'s> Drawn<'s> {
@@ -72,6 +76,7 @@ impl<'s> Drawn<'s> {
             depths: vec![i32::MAX; size * size],
             shades: vec![Shade::default(); scene.faces.len()],
             sides: vec![<[Side; 3]>::default(); scene.faces.len()],
+            paints: vec![None; if scene.texels.is_empty() { 0 } else { scene.faces.len() }],
         };
         for_each_setup(
             scene,
@@ -81,6 +86,9 @@ impl<'s> Drawn<'s> {
                 if draw(&mut this.depths, &mut this.ids, size, id, s) {
                     this.shades[id as usize] = Shade::of(scene, view, face, &points);
                     this.sides[id as usize] = Side::all(face, &points);
+                    if let Some(paint) = this.paints.get_mut(id as usize) {
+                        *paint = scene.painted(view, face);
+                    }
                 }
             },
         );
@@ -117,7 +125,9 @@ impl<'s> Drawn<'s> {
     /// Adds a run of pixels that show one triangle to what is seen of it; `at` is the first one's
     /// number. Returns their energy.
     fn see(&self, id: u32, reference: &[u8], at: usize, seen: &mut [Seen]) -> f64 {
-        if id == NOTHING || self.scene.params.shading == Shading::Flat {
+        let paint = self.paint(id);
+        let is_flat = self.scene.params.shading == Shading::Flat;
+        if id == NOTHING || (is_flat && paint.is_none()) {
             let lum = self.luminance(id, at);
             let n = reference.len() as f64;
             let sum = f64::from(reference.iter().map(|r| u32::from(*r)).sum::<u32>());
@@ -131,12 +141,17 @@ impl<'s> Drawn<'s> {
         let (shade, seen) = (&self.shades[id as usize], &mut seen[id as usize]);
         let mut energy = 0.0;
         for (pixel, r) in (at..).zip(reference) {
-            let off = self.luminance(id, pixel) - f64::from(*r);
+            let (bare, texel) = (self.bare_luminance(id, pixel), self.texel(id, pixel));
+            let off = bare * texel - f64::from(*r);
             energy += off * off;
-            seen.n += 1.0;
+            seen.n += texel * texel;
+            seen.off += off * texel;
             for (k, share) in shade.shares_at(pixel, self.size).into_iter().enumerate() {
-                seen.off_by_share[k] += off * share;
-                seen.squares[k] += share * share;
+                seen.off_by_share[k] += off * texel * share;
+                seen.squares[k] += (texel * share).powi(2);
+                if paint.is_some() {
+                    seen.drags[k].add(off, share * bare * self.slope(id, pixel));
+                }
             }
         }
         energy
@@ -196,6 +211,12 @@ impl<'s> Drawn<'s> {
     fn inside(&self, seen: &[Seen], motions: &[[DVec3; 2]], sum: &mut Slopes) {
         for ((face, shade), seen) in self.scene.faces.iter().zip(&self.shades).zip(seen) {
             let Some(face) = face.filter(|_| seen.n > 0.0) else { continue };
+            if self.paints.len() > 0 {
+                let corners = face.vertices.iter().zip(&seen.drags);
+                corners.for_each(|(v, drag)| {
+                    drag.add_to(&mut sum.places[*v as usize], motions[*v as usize])
+                });
+            }
             match self.scene.params.shading {
                 Shading::Flat => {
                     for (v, by) in face.vertices.iter().zip(shade.by) {
@@ -209,6 +230,32 @@ impl<'s> Drawn<'s> {
 
     /// The luminance of a triangle in a pixel, in which another may be seen.
     fn luminance(&self, id: u32, pixel: usize) -> f64 {
+        self.bare_luminance(id, pixel) * self.texel(id, pixel)
+    }
+
+    fn paint(&self, id: u32) -> Option<&Painted> {
+        self.paints.get(id as usize)?.as_ref()
+    }
+
+    /// What the texture lets through, 0 to 1.
+    fn texel(&self, id: u32, pixel: usize) -> f64 {
+        self.texel_beside(id, pixel, [0, 0])
+    }
+
+    fn texel_beside(&self, id: u32, pixel: usize, by: [i32; 2]) -> f64 {
+        let Some(paint) = self.paint(id) else { return 1.0 };
+        let (i, j) = ((pixel % self.size) as i32 + by[0], (pixel / self.size) as i32 + by[1]);
+        f64::from(paint.at(self.scene.texels.words(), i, j)) / 255.0
+    }
+
+    /// How that changes from pixel to pixel, rightwards and downwards.
+    fn slope(&self, id: u32, pixel: usize) -> DVec2 {
+        let at = |by: [i32; 2]| self.texel_beside(id, pixel, by);
+        0.5 * DVec2::new(at([1, 0]) - at([-1, 0]), at([0, 1]) - at([0, -1]))
+    }
+
+    /// [`Self::luminance`] without the texture.
+    fn bare_luminance(&self, id: u32, pixel: usize) -> f64 {
         let Some(shade) = self.shades.get(id as usize) else {
             return f64::from(self.scene.params.background);
         };
@@ -240,6 +287,30 @@ fn draw(depths: &mut [i32], ids: &mut [u32], size: usize, id: u32, s: &Setup) ->
         }
     });
     is_seen
+}
+
+/// What changes as a corner takes a texture along: slopes in the picture, and their squares and product.
+#[derive(Clone, Copy, Default)]
+struct Drag {
+    slope: DVec2,
+    squares: DVec2,
+    product: f64,
+}
+
+impl Drag {
+    /// Adds a pixel whose luminance is too much by `off`, and grows by `by` for each pixel of motion the other way.
+    fn add(&mut self, off: f64, by: DVec2) {
+        self.slope += 2.0 * off * by;
+        self.squares += 2.0 * by * by;
+        self.product += 2.0 * by.x * by.y;
+    }
+
+    /// `dx` and `dy` are how the corner moves in the picture.
+    fn add_to(&self, at: &mut Slope, [dx, dy]: [DVec3; 2]) {
+        at.gradient -= self.slope.x * dx + self.slope.y * dy;
+        at.bend += outer(self.squares.x * dx + self.product * dy, dx);
+        at.bend += outer(self.product * dx + self.squares.y * dy, dy);
+    }
 }
 
 /// Adds what changes inside a triangle with interpolated luminance.
@@ -352,7 +423,13 @@ impl Shade {
         let length = area.length();
         let normal = if length > 0.0 { area / length } else { DVec3::ZERO };
         match scene.params.shading {
-            Shading::Flat => Self::flat(scene, view, face, p, (normal, length)),
+            Shading::Flat => {
+                let mut this = Self::flat(scene, view, face, p, (normal, length));
+                if face.surface.paint.is_some() {
+                    this.share(face.vertices.map(|v| points[v as usize]));
+                }
+                this
+            }
             Shading::Smooth => Self::smooth(scene, view, face, (p, normal), points),
         }
     }
@@ -366,7 +443,7 @@ impl Shade {
     ) -> Self {
         let v = &scene.views[view];
         let ambient = scene.params.ambient;
-        let albedo = face.albedo.iter().map(|a| f64::from(*a)).sum::<f64>() / 3.0;
+        let albedo = face.surface.albedo.iter().map(|a| f64::from(*a)).sum::<f64>() / 3.0;
         let centroid = (p[0] + p[1] + p[2]) / 3.0;
         let side = if v.sees_front(centroid, normal) { 1.0 } else { -1.0 };
         let cosine = side * normal.dot(v.to_light);
@@ -391,7 +468,7 @@ impl Shade {
         let ambient = scene.params.ambient;
         let mut this = Self::default();
         for (k, place) in p.into_iter().enumerate() {
-            let albedo = f64::from(face.albedo[k]);
+            let albedo = f64::from(face.surface.albedo[k]);
             let side = if v.sees_front(place, normal) { 1.0 } else { -1.0 };
             let cosine = side * scene.normal(face.vertices[k]).dot(v.to_light);
             this.corners[k] = albedo * (ambient + (1.0 - ambient) * cosine.max(0.0));
@@ -399,16 +476,20 @@ impl Shade {
                 this.by[k] = albedo * (1.0 - ambient) * side * v.to_light;
             }
         }
-        let q = face.vertices.map(|v| points[v as usize]);
+        this.share(face.vertices.map(|v| points[v as usize]));
+        this
+    }
+
+    /// Finds the corners' shares.
+    fn share(&mut self, q: [DVec2; 3]) {
         let area = (q[1] - q[0]).perp_dot(q[2] - q[0]);
         for k in 0..3 {
             let (a, b) = (q[(k + 1) % 3], q[(k + 2) % 3]);
             let middle = DVec2::splat(0.5);
-            this.shares[0][k] = (a - middle).perp_dot(b - middle) / area;
-            this.shares[1][k] = (a.y - b.y) / area;
-            this.shares[2][k] = (b.x - a.x) / area;
+            self.shares[0][k] = (a - middle).perp_dot(b - middle) / area;
+            self.shares[1][k] = (a.y - b.y) / area;
+            self.shares[2][k] = (b.x - a.x) / area;
         }
-        this
     }
 
     /// The corners' shares in a pixel, which add up to 1; outside the triangle some are negative.

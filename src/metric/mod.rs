@@ -3,11 +3,12 @@
 //!
 //! Knows nothing of queues, jobs or files.
 
-mod albedo;
+mod appearance;
 mod bvh;
 mod drawn;
 pub mod image;
 mod objective;
+mod palette;
 mod slopes;
 #[cfg(test)]
 mod slopes_tests;
@@ -16,10 +17,11 @@ mod template;
 #[cfg(test)]
 mod template_tests;
 
-pub use albedo::Albedo;
+pub use appearance::is_white;
 pub use objective::{
     Objective, Pictures, ViewSet, bounding_sphere, d2_percent, reference_pictures, scene_as_drawn,
     scene_of_edit_mesh, scene_with_normals, stored_normal, with_vertex_normals,
 };
+pub use palette::Palette;
 pub use slopes::{Slope, Slopes, slopes};
 pub use template::{Change, Free, Template};

@@ -5,6 +5,8 @@
 //! triangles at both ends of the edge (T = ⌈⌈⌊e⌋⌉⌉); smooth shading also those of the ring, whose
 //! vertex normals change (Lindstrom & Turk 2000, section 5).
 
+use std::sync::Arc;
+
 use glam::{DQuat, DVec3};
 
 use crate::{
@@ -16,13 +18,13 @@ use crate::{
     },
 };
 
-use super::albedo::Albedo;
+use super::{appearance::Appearance, palette::Palette};
 
 /// Pictures of the model being simplified, beside the original's.
 pub struct Objective {
     scene: Scene,
     evaluator: Box<dyn Evaluator>,
-    albedo: Albedo,
+    appearance: Appearance,
     reference: Option<Reference>,
     has_own_normals: bool,
     evaluations: u64,
@@ -35,6 +37,8 @@ pub struct Pictures {
     pub params: RenderParams,
     /// From where.
     pub views: Vec<View>,
+    /// The textures of the mesh that they show.
+    pub palette: Arc<Palette>,
 }
 
 /// A set of views, and what the original looks like in them.
@@ -55,6 +59,12 @@ impl ViewSet {
 }
 
 impl Pictures {
+    /// Of a mesh, and of what is made of it.
+    pub fn of(mesh: &Mesh, params: RenderParams, views: Vec<View>) -> Self {
+        let palette = Arc::new(Palette::of(mesh, params.image_size));
+        Self { params, views, palette }
+    }
+
     /// The same cameras, all turned about the centre of the model by the same rotation: number
     /// `turn` of a sequence that covers the rotations evenly; number 0 is none at all.
     #[must_use]
@@ -68,7 +78,7 @@ impl Pictures {
             }
             v
         };
-        Self { params: self.params.clone(), views: self.views.iter().map(view).collect() }
+        Self { views: self.views.iter().map(view).collect(), ..self.clone() }
     }
 }
 
@@ -88,7 +98,7 @@ fn nth_rotation(n: u64) -> DQuat {
 
 /// Renders the original: once per job.
 pub fn reference_pictures(original: &Mesh, pictures: &Pictures) -> Reference {
-    reference(&scene_of(original, &Albedo::of(original), pictures, |_| true))
+    reference(&scene_of(original, pictures, |_| true))
 }
 
 /// The bounding sphere of the vertices that some triangle uses.
@@ -102,7 +112,7 @@ pub fn bounding_sphere(mesh: &Mesh) -> BoundingSphere {
 
 /// The current state of an editable mesh as a scene, to build an evaluator from.
 pub fn scene_of_edit_mesh(mesh: &EditMesh, pictures: &Pictures) -> Scene {
-    scene_of(mesh.mesh(), &Albedo::of(mesh.mesh()), pictures, |f| mesh.is_alive(FaceId(f)))
+    scene_of(mesh.mesh(), pictures, |f| mesh.is_alive(FaceId(f)))
 }
 
 /// The same as [`scene_of_edit_mesh`] for smooth shading with the normals that the mesh has as an
@@ -166,30 +176,33 @@ pub fn with_vertex_normals(mut mesh: Mesh) -> Mesh {
     mesh
 }
 
-fn scene_of(
-    mesh: &Mesh,
-    albedo: &Albedo,
-    pictures: &Pictures,
-    is_alive: impl Fn(u32) -> bool,
-) -> Scene {
+fn scene_of(mesh: &Mesh, pictures: &Pictures, is_alive: impl Fn(u32) -> bool) -> Scene {
+    let appearance = Appearance::of(mesh, &pictures.palette);
     let faces = (0..mesh.faces.len() as u32)
         .map(|f| {
             is_alive(f).then(|| SceneFace {
                 vertices: mesh.faces[f as usize],
-                albedo: albedo.of_face(mesh, FaceId(f)),
+                surface: appearance.of_face(mesh, FaceId(f)),
             })
         })
         .collect();
-    Scene::new(pictures.params.clone(), pictures.views.clone(), mesh.positions.clone(), faces)
+    let (params, views) = (pictures.params.clone(), pictures.views.clone());
+    let texels = pictures.palette.texels().clone();
+    Scene::new(params, views, texels, mesh.positions.clone(), faces)
 }
 
 impl Objective {
-    /// `evaluator` must have been built from `scene`, which shows `mesh` as it is now.
-    pub fn new(mesh: &EditMesh, scene: Scene, evaluator: Box<dyn Evaluator>) -> Self {
+    /// `evaluator` must have been built from `scene`, which shows `mesh` as it is now with this palette.
+    pub fn new(
+        mesh: &EditMesh,
+        palette: &Arc<Palette>,
+        scene: Scene,
+        evaluator: Box<dyn Evaluator>,
+    ) -> Self {
         Self {
             scene,
             evaluator,
-            albedo: Albedo::of(mesh.mesh()),
+            appearance: Appearance::of(mesh.mesh(), palette),
             reference: None,
             has_own_normals: false,
             evaluations: 0,
@@ -230,8 +243,8 @@ impl Objective {
         &self.scene
     }
 
-    pub(super) fn albedo(&self) -> &Albedo {
-        &self.albedo
+    pub(super) fn appearance(&self) -> &Appearance {
+        &self.appearance
     }
 
     /// Moves judged so far.
@@ -281,7 +294,7 @@ impl Objective {
         let scene = &self.scene;
         let face = |f: &u32| {
             let face = scene.faces.get(*f as usize).copied().flatten()?;
-            Some(AddedFace { face: *f, vertices: face.vertices, albedo: face.albedo })
+            Some(AddedFace { face: *f, vertices: face.vertices, surface: face.surface })
         };
         // A vertex that the move brings has nowhere to go back to.
         let is_old = |v: u32| (v as usize) < mesh.n_vertex_slots();
@@ -344,13 +357,13 @@ impl Objective {
             return None;
         }
         let vertices = before.map(|v| if v == plan.drop { plan.keep.0 } else { v.0 });
-        let albedo = self.albedo.of_face_after(mesh, plan, face);
-        Some(AddedFace { face: face.0, vertices, albedo })
+        let surface = self.appearance.of_face_after(mesh, plan, face);
+        Some(AddedFace { face: face.0, vertices, surface })
     }
 
-    /// Tells the objective of a collapse that the mesh has made (new wedges have new albedos).
+    /// Tells the objective of a collapse that the mesh has made (new wedges have new colours).
     pub fn follow(&mut self, mesh: &EditMesh) {
-        self.albedo.extend(mesh.mesh());
+        self.appearance.extend(mesh.mesh());
     }
 
     /// The picture of one view now.

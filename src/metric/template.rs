@@ -208,16 +208,17 @@ impl Patch {
 
     fn split(&mut self, objective: &Objective, mesh: &EditMesh, plan: &Split, half: &SplitFace) {
         self.removed.push(half.face.0);
-        let old = objective.albedo().of_face(mesh.mesh(), half.face);
+        let appearance = objective.appearance();
+        let old = appearance.of_face(mesh.mesh(), half.face);
         let nth = half.new_wedge.0.saturating_sub(plan.first_new_wedge.0) as usize;
-        let new = objective.albedo().of_new_wedge(mesh, &plan.new_wedges, nth, half.face);
         let cut = |face: FaceId, replaced: VertexId| {
-            let (mut vertices, mut albedo) = (half.vertices.map(|v| v.0), old);
+            let (mut vertices, mut surface) = (half.vertices.map(|v| v.0), old);
             for k in (0..3).filter(|&k| half.vertices[k] == replaced) {
                 vertices[k] = plan.vertex.0;
-                albedo[k] = new.unwrap_or(old[k]);
+                let new = (&plan.new_wedges[..], nth);
+                appearance.set_corner(&mut surface, k, (mesh, half.face), new);
             }
-            AddedFace { face: face.0, vertices, albedo }
+            AddedFace { face: face.0, vertices, surface }
         };
         self.added.push(cut(half.face, plan.b));
         self.added.push(cut(half.new_face, plan.a));
@@ -225,20 +226,20 @@ impl Patch {
 
     fn swap(&mut self, objective: &Objective, mesh: &EditMesh, plan: &Swap) {
         // The corner of b in the first triangle becomes d's, that of a in the second c's; a
-        // corner brings its own albedo along (a swap never crosses an attribute border).
-        let olds = plan.corners.map(|c| objective.albedo().of_face(mesh.mesh(), c.face()));
+        // corner brings its own colour along (a swap never crosses an attribute border).
+        let olds = plan.corners.map(|c| objective.appearance().of_face(mesh.mesh(), c.face()));
         for (i, corner) in plan.corners.iter().enumerate() {
             let face = corner.face();
             let to = plan.apexes[1 - i];
             let other = plan.corners[1 - i].face();
             let mut vertices = mesh.vertices_of(face).map(|v| v.0);
-            let mut albedo = olds[i];
+            let mut surface = olds[i];
             vertices[corner.k()] = to.0;
             if let Some(k) = mesh.vertices_of(other).iter().position(|v| *v == to) {
-                albedo[corner.k()] = olds[1 - i][k];
+                surface.set_corner(corner.k(), &olds[1 - i], k);
             }
             self.removed.push(face.0);
-            self.added.push(AddedFace { face: face.0, vertices, albedo });
+            self.added.push(AddedFace { face: face.0, vertices, surface });
         }
     }
 
@@ -247,9 +248,9 @@ impl Patch {
         for &face in mesh.faces_around(vertex) {
             if !self.removed.contains(&face.0) {
                 let vertices = mesh.vertices_of(face).map(|v| v.0);
-                let albedo = objective.albedo().of_face(mesh.mesh(), face);
+                let surface = objective.appearance().of_face(mesh.mesh(), face);
                 self.removed.push(face.0);
-                self.added.push(AddedFace { face: face.0, vertices, albedo });
+                self.added.push(AddedFace { face: face.0, vertices, surface });
             }
         }
     }

@@ -41,16 +41,9 @@ fn pictures(mesh: &Mesh, shading: Shading) -> Pictures {
         projection: Projection::Perspective,
         light_degrees: 10.0,
     };
-    Pictures {
-        views: cameras(&bounding_sphere(mesh), &view_params),
-        params: RenderParams {
-            image_size: 64,
-            shading,
-            ambient: 0.1,
-            background: 128,
-            interior_views: 1,
-        },
-    }
+    let params =
+        RenderParams { image_size: 64, shading, ambient: 0.1, background: 128, interior_views: 1 };
+    Pictures::of(mesh, params, cameras(&bounding_sphere(mesh), &view_params))
 }
 
 /// A grey of its own at every vertex.
@@ -191,7 +184,7 @@ fn show(look: Look, pictures: &Pictures, original: &Mesh, mesh: &EditMesh) -> Ob
         scene_of_edit_mesh(mesh, pictures)
     };
     let twin = Twin::new(&scene, &reference);
-    let objective = Objective::new(mesh, scene, Box::new(twin));
+    let objective = Objective::new(mesh, &pictures.palette, scene, Box::new(twin));
     if look.has_own_normals { objective.with_own_normals() } else { objective }
 }
 

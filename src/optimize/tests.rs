@@ -32,23 +32,17 @@ fn pictures(original: &Mesh, shading: Shading) -> Pictures {
         projection: Projection::Perspective,
         light_degrees: 10.0,
     };
-    Pictures {
-        views: cameras(&bounding_sphere(original), &view_params),
-        params: RenderParams {
-            image_size: 64,
-            shading,
-            ambient: 0.1,
-            background: 128,
-            interior_views: 0,
-        },
-    }
+    let params =
+        RenderParams { image_size: 64, shading, ambient: 0.1, background: 128, interior_views: 0 };
+    Pictures::of(original, params, cameras(&bounding_sphere(original), &view_params))
 }
 
 fn show(original: &Mesh, pictures: &Pictures, mesh: &EditMesh, has_normals: bool) -> Objective {
     let reference = reference_pictures(original, pictures);
     let scene = scene_as_drawn(mesh, pictures, has_normals);
     let twin = Twin::new(&scene, &reference);
-    let objective = Objective::new(mesh, scene, Box::new(twin)).with_reference(reference);
+    let objective = Objective::new(mesh, &pictures.palette, scene, Box::new(twin));
+    let objective = objective.with_reference(reference);
     if has_normals { objective.with_own_normals() } else { objective }
 }
 

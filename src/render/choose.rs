@@ -163,9 +163,9 @@ fn sample_moves(scene: &Scene) -> Vec<Move> {
             if let Some(mv) = moves.get_mut(&corner)
                 && mv.removed.last() != Some(&(id as u32))
             {
-                let (vertices, albedo) = (face.vertices, face.albedo);
+                let (vertices, surface) = (face.vertices, face.surface);
                 mv.removed.push(id as u32);
-                mv.added.push(AddedFace { face: id as u32, vertices, albedo });
+                mv.added.push(AddedFace { face: id as u32, vertices, surface });
             }
         }
     }

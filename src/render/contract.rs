@@ -1,5 +1,7 @@
 //! What every evaluator must do, run on each of them (`check_all`), with hand-made scenes.
 
+use std::sync::Arc;
+
 use glam::DVec3;
 use proptest::{
     prelude::*,
@@ -9,8 +11,9 @@ use proptest::{
 use super::{
     evaluator::{Evaluator, Reference},
     moves::{AddedFace, Move},
+    paint::{Paint, Texels},
     raster,
-    scene::{RenderParams, Scene, SceneFace, Shading},
+    scene::{RenderParams, Scene, SceneFace, Shading, Surface},
     twin::Twin,
     view::{BoundingSphere, Projection, ViewParams, cameras, directions},
 };
@@ -47,9 +50,10 @@ pub struct Look {
     pub projection: Projection,
     pub interior_views: usize,
     pub coloured: bool,
+    pub painted: bool,
 }
 
-pub const LOOKS: [Look; 4] = [
+pub const LOOKS: [Look; 6] = [
     Look {
         image_size: 64,
         n_views: 4,
@@ -57,6 +61,7 @@ pub const LOOKS: [Look; 4] = [
         projection: Projection::Perspective,
         interior_views: 0,
         coloured: false,
+        painted: false,
     },
     Look {
         image_size: 128,
@@ -65,6 +70,7 @@ pub const LOOKS: [Look; 4] = [
         projection: Projection::Orthographic,
         interior_views: 3,
         coloured: true,
+        painted: false,
     },
     Look {
         image_size: 104,
@@ -73,6 +79,7 @@ pub const LOOKS: [Look; 4] = [
         projection: Projection::Orthographic,
         interior_views: 8,
         coloured: true,
+        painted: false,
     },
     Look {
         image_size: 256,
@@ -81,6 +88,25 @@ pub const LOOKS: [Look; 4] = [
         projection: Projection::Perspective,
         interior_views: 0,
         coloured: false,
+        painted: false,
+    },
+    Look {
+        image_size: 128,
+        n_views: 4,
+        shading: Shading::Flat,
+        projection: Projection::Perspective,
+        interior_views: 1,
+        coloured: true,
+        painted: true,
+    },
+    Look {
+        image_size: 64,
+        n_views: 6,
+        shading: Shading::Smooth,
+        projection: Projection::Orthographic,
+        interior_views: 0,
+        coloured: true,
+        painted: true,
     },
 ];
 
@@ -107,12 +133,32 @@ pub fn scene_of(positions: Vec<DVec3>, faces: Vec<[u32; 3]>, look: Look) -> Scen
         interior_views: look.interior_views,
     };
     let albedo = |f: usize| if look.coloured { [(f * 7 % 256) as u8, 255, 90] } else { [255; 3] };
-    let faces = faces
-        .into_iter()
-        .enumerate()
-        .map(|(f, vertices)| Some(SceneFace { vertices, albedo: albedo(f) }))
-        .collect();
-    Scene::new(params, views, positions, faces)
+    let surface = |f: usize, corners: [u32; 3]| Surface {
+        albedo: albedo(f),
+        paint: look.painted.then(|| paint(f, corners.map(|v| positions[v as usize]))),
+    };
+    let faces = faces.into_iter().enumerate();
+    let faces =
+        faces.map(|(f, v)| Some(SceneFace { vertices: v, surface: surface(f, v) })).collect();
+    Scene::new(params, views, Arc::new(texels()), positions, faces)
+}
+
+/// Two textures: a repeated one and one that is not square and held at its edges along one axis.
+fn texels() -> Texels {
+    let noise = |k: u32| (k.wrapping_mul(2_654_435_761) >> 24) as u8;
+    let mut texels = Texels::default();
+    texels.add([6, 6], (0..64 * 64).map(noise).collect(), [false; 2]);
+    texels.add([5, 3], (0..32 * 8).map(noise).collect(), [true, false]);
+    texels
+}
+
+/// Two textures and plain surfaces by turns; coordinates run beyond the texture on all sides, and every ninth
+/// triangle has some that are far away.
+fn paint(f: usize, corners: [DVec3; 3]) -> Paint {
+    let far = if f.is_multiple_of(9) { 300.0 } else { 1.0 };
+    let uv = corners.map(|p| [(p.x * 1.7 * far) as f32, (p.y + 0.3 * p.z) as f32]);
+    // A texture that is not there leaves a surface plain.
+    Paint { map: f as u32 % 3, uv }
 }
 
 /// Collapses the edge (keep, drop) of a live face to `to`, by brute force over all faces.
@@ -135,7 +181,7 @@ pub fn collapse_move(scene: &Scene, keep: u32, drop: u32, to: DVec3) -> Move {
             continue;
         }
         let vertices = f.vertices.map(|v| if v == drop { keep } else { v });
-        mv.added.push(AddedFace { face: id, vertices, albedo: f.albedo });
+        mv.added.push(AddedFace { face: id, vertices, surface: f.surface });
     }
     if smooth {
         mv.normals = new_normals(scene, &mv, &affected);
@@ -150,7 +196,7 @@ pub fn displacement(scene: &Scene, moved: &[(u32, DVec3)]) -> Move {
         let touches = |f: &SceneFace| moved.iter().any(|m| f.vertices.contains(&m.0));
         let Some(f) = f.filter(touches) else { continue };
         mv.removed.push(id as u32);
-        mv.added.push(AddedFace { face: id as u32, vertices: f.vertices, albedo: f.albedo });
+        mv.added.push(AddedFace { face: id as u32, vertices: f.vertices, surface: f.surface });
     }
     mv
 }

@@ -8,7 +8,7 @@ use crate::intrinsics::by_processor;
 
 use super::{
     fragments::{BLOCK_HEIGHT, BLOCK_WIDTH, FragmentLists, LANES},
-    lattice::{DEPTH_BITS, LUM_BITS, PixelRect, Setup},
+    lattice::{DEPTH_BITS, PixelRect, Setup},
 };
 
 /// A move in one view.
@@ -16,6 +16,8 @@ pub struct Judged<'a> {
     /// Added triangles with their ids, by ascending id, so that the lesser rank wins a tie; at
     /// most [`MAX_ADDED`].
     pub setups: &'a [(u32, Setup)],
+    /// What they are painted with.
+    pub texels: &'a [u32],
     /// Ids of the triangles that go.
     pub removed: &'a [u32],
     /// Pixels that the move can touch.
@@ -90,9 +92,9 @@ pub(super) fn delta_plain(of: &Judged<'_>, scratch: &mut Scratch) -> i64 {
             let block = (j / BLOCK_HEIGHT - blocks.y0) as usize * width
                 + (i / BLOCK_WIDTH - blocks.x0) as usize;
             let lane = (j % BLOCK_HEIGHT * BLOCK_WIDTH + i % BLOCK_WIDTH) as usize;
-            let (z, lum) = (s.depth.at(i, j, DEPTH_BITS), s.lum.at(i, j, LUM_BITS));
+            let (z, lum) = (s.depth.at(i, j, DEPTH_BITS) as u32, s.lum_at(of.texels, i, j));
             let slot = &mut scratch.keys[block][lane];
-            *slot = (*slot).min((z << 16 | (rank << 8) as i32 | lum) as u32);
+            *slot = (*slot).min(z << 16 | (rank << 8) as u32 | u32::from(lum));
         });
     }
     let mut sum = 0;

@@ -12,11 +12,12 @@ use std::arch::x86_64::{
 use super::{
     fragments::{BLOCK_HEIGHT, BLOCK_WIDTH, Block, LANES},
     kernel::{BlockRect, Judged, NOTHING, Scratch, pixel_delta},
+    kernel_avx2_paint::Brush,
     lattice::{DEPTH_BITS, LUM_BITS, Plane, Setup},
 };
 
 /// Eight 32-bit integers, one a pixel; masks are 0 or -1.
-type Lanes = __m256i;
+pub(super) type Lanes = __m256i;
 
 /// The change of energy of a move in one view.
 #[target_feature(enable = "avx2")]
@@ -26,7 +27,7 @@ pub fn delta(of: &Judged<'_>, scratch: &mut Scratch) -> i64 {
     scratch.keys.clear();
     scratch.keys.resize(width * blocks.height(), [NOTHING; LANES]);
     for (rank, (_, setup)) in of.setups.iter().enumerate() {
-        raster(setup, rank, blocks, &mut scratch.keys);
+        raster(setup, rank, blocks, of.texels, &mut scratch.keys);
     }
     scratch.removed.clear();
     scratch.removed.extend(of.removed.iter().map(|id| [*id; LANES]));
@@ -40,13 +41,14 @@ pub fn delta(of: &Judged<'_>, scratch: &mut Scratch) -> i64 {
 
 /// Enters the fragments of an added triangle where they are the nearest.
 #[target_feature(enable = "avx2")]
-fn raster(s: &Setup, rank: usize, blocks: BlockRect, keys: &mut [[u32; LANES]]) {
+fn raster(s: &Setup, rank: usize, blocks: BlockRect, texels: &[u32], keys: &mut [[u32; LANES]]) {
     let own = BlockRect::of(&s.rect);
     let (i0, j0) = (own.x0 * BLOCK_WIDTH, own.y0 * BLOCK_HEIGHT);
     let mut edges = s.edges.map(|e| Affine::new([e.at_origin, e.dx, e.dy], i0, j0));
     let mut depth = Affine::of_plane(&s.depth, i0, j0);
     let is_flat = s.lum.min == s.lum.max;
     let mut lum = if is_flat { depth } else { Affine::of_plane(&s.lum, i0, j0) };
+    let mut brush = s.paint.as_ref().map(|paint| Brush::new(paint, texels, i0, j0));
     let low = (rank << 8) as i32 | if is_flat { s.lum.min } else { 0 };
     let low = _mm256_set1_epi32(low);
     let range = |p: &Plane| (_mm256_set1_epi32(p.min), _mm256_set1_epi32(p.max));
@@ -55,7 +57,7 @@ fn raster(s: &Setup, rank: usize, blocks: BlockRect, keys: &mut [[u32; LANES]]) 
     for row in keys[at..].chunks_mut(blocks.width()).take(own.height()) {
         let [mut e0, mut e1, mut e2] = edges.each_ref().map(|e| e.value);
         let (mut z, mut l) = (depth.value, lum.value);
-        for slot in &mut row[..own.width()] {
+        for (column, slot) in row[..own.width()].iter_mut().enumerate() {
             let outside = _mm256_srai_epi32::<31>(or(or(e0, e1), e2));
             let depth_bits = clamp(_mm256_srai_epi32::<{ DEPTH_BITS as i32 }>(z), z_range);
             let mut key = or(or(_mm256_slli_epi32::<16>(depth_bits), low), outside);
@@ -63,7 +65,16 @@ fn raster(s: &Setup, rank: usize, blocks: BlockRect, keys: &mut [[u32; LANES]]) 
                 key = or(key, clamp(_mm256_srai_epi32::<{ LUM_BITS as i32 }>(l), lum_range));
                 l = _mm256_add_epi32(l, lum.step_x);
             }
-            *slot = bytemuck::cast(_mm256_min_epu32(lanes(slot), key));
+            let nearest = _mm256_min_epu32(lanes(slot), key);
+            if let Some(brush) = &brush {
+                let is_old = _mm256_cmpeq_epi32(nearest, lanes(slot));
+                if _mm256_movemask_ps(_mm256_castsi256_ps(is_old)) != 0xff {
+                    let painted = brush.painted(nearest, column as i32);
+                    *slot = bytemuck::cast(_mm256_blendv_epi8(painted, nearest, is_old));
+                }
+            } else {
+                *slot = bytemuck::cast(nearest);
+            }
             e0 = _mm256_add_epi32(e0, edges[0].step_x);
             e1 = _mm256_add_epi32(e1, edges[1].step_x);
             e2 = _mm256_add_epi32(e2, edges[2].step_x);
@@ -72,15 +83,18 @@ fn raster(s: &Setup, rank: usize, blocks: BlockRect, keys: &mut [[u32; LANES]]) 
         edges.iter_mut().for_each(|e| e.next_row());
         depth.next_row();
         lum.next_row();
+        if let Some(brush) = &mut brush {
+            brush.next_row();
+        }
     }
 }
 
 /// An affine function at the pixels of the first block of a row.
 #[derive(Clone, Copy)]
-struct Affine {
-    value: Lanes,
+pub(super) struct Affine {
+    pub(super) value: Lanes,
     /// From a block to its right neighbour.
-    step_x: Lanes,
+    pub(super) step_x: Lanes,
     /// From a row of blocks to the one below.
     step_y: Lanes,
 }
@@ -102,12 +116,12 @@ impl Affine {
     }
 
     #[target_feature(enable = "avx2")]
-    fn of_plane(p: &Plane, i0: i32, j0: i32) -> Self {
+    pub(super) fn of_plane(p: &Plane, i0: i32, j0: i32) -> Self {
         Self::new([p.at_origin, p.dx, p.dy], i0, j0)
     }
 
     #[target_feature(enable = "avx2")]
-    fn next_row(&mut self) {
+    pub(super) fn next_row(&mut self) {
         self.value = _mm256_add_epi32(self.value, self.step_y);
     }
 }
@@ -193,7 +207,7 @@ fn or(a: Lanes, b: Lanes) -> Lanes {
 }
 
 #[target_feature(enable = "avx2")]
-fn clamp(v: Lanes, (min, max): (Lanes, Lanes)) -> Lanes {
+pub(super) fn clamp(v: Lanes, (min, max): (Lanes, Lanes)) -> Lanes {
     _mm256_min_epi32(_mm256_max_epi32(v, min), max)
 }
 

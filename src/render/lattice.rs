@@ -11,7 +11,10 @@
 //! 5. a triangle's [`Setup`] depends on its three corners in stored order and on nothing else: a
 //!    triangle that an edit adds rasters to the same bits as in a full re-render.
 
-use super::view::PicturePoint;
+use super::{
+    paint::{Painted, modulated},
+    view::PicturePoint,
+};
 
 /// Width of the lattice, bits.
 const LATTICE_BITS: u32 = 14;
@@ -96,6 +99,8 @@ pub struct Setup {
     pub depth: Plane,
     /// 8-bit luminance.
     pub lum: Plane,
+    /// Its texture.
+    pub paint: Option<Painted>,
 }
 
 impl PixelRect {
@@ -184,7 +189,15 @@ impl Lattice {
         } else {
             self.plane(x, y, l, area2, LUM_BITS)
         };
-        Some(Setup { rect, edges, depth, lum })
+        Some(Setup { rect, edges, depth, lum, paint: None })
+    }
+
+    /// The plane through values at the corners of a triangle that has a [`Setup`].
+    pub fn affine(&self, p: [ScreenPoint; 3], values: [i32; 3], bits: u32) -> Plane {
+        let x = p.map(|q| i32::from(q.x));
+        let y = p.map(|q| i32::from(q.y));
+        let area2 = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0]);
+        self.plane(x, y, values, area2, bits)
     }
 
     /// The edge function of a → b, positive on the inner side.
@@ -259,6 +272,13 @@ impl Setup {
                 let j = if e.dy > 0 { rect.y1 } else { rect.y0 };
                 e.at(i, j) >= 0
             })
+    }
+
+    /// The luminance at pixel (i, j), with what the texture has there.
+    #[inline(always)]
+    pub fn lum_at(&self, texels: &[u32], i: i32, j: i32) -> u8 {
+        let lum = self.lum.at(i, j, LUM_BITS) as u32;
+        self.paint.as_ref().map_or(lum, |p| modulated(lum, p.at(texels, i, j))) as u8
     }
 
     /// Whether pixel (i, j) is covered.

@@ -12,8 +12,11 @@ mod gpu;
 mod kernel;
 #[cfg(target_arch = "x86_64")]
 mod kernel_avx2;
+#[cfg(target_arch = "x86_64")]
+mod kernel_avx2_paint;
 pub mod lattice;
 mod moves;
+mod paint;
 mod raster;
 mod scene;
 mod tiles;
@@ -24,6 +27,7 @@ pub use choose::{Choice, choose, make_evaluator};
 pub use device::{AdapterInfo, adapters};
 pub use evaluator::{Evaluator, Reference, RenderError};
 pub use moves::{AddedFace, MAX_MOVE_VERTICES, Move};
+pub use paint::{Paint, Painted, Texels};
 pub use raster::{energy, for_each_run, for_each_setup, picture, reference};
-pub use scene::{RenderParams, Scene, SceneFace, Shading};
+pub use scene::{RenderParams, Scene, SceneFace, Shading, Surface};
 pub use twin::Twin;

@@ -4,20 +4,20 @@ use glam::DVec3;
 use smallvec::SmallVec;
 
 use super::{
-    lattice::{Lattice, PixelRect, ScreenPoint},
-    scene::{FaceShape, Scene, Shading},
+    lattice::{Lattice, PixelRect, ScreenPoint, Setup},
+    scene::{FaceShape, Scene, Shading, Surface},
 };
 
 /// A triangle that an edit adds. It takes the id of one that the edit removes (or a new one), so
 /// that ties in depth fall as they would in a full re-render.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AddedFace {
     /// Its id.
     pub face: u32,
     /// Vertex slots in corner order; slots listed in [`Move::moved`] stand at their new places.
     pub vertices: [u32; 3],
-    /// Albedo luminance at each corner.
-    pub albedo: [u8; 3],
+    /// Its material.
+    pub surface: Surface,
 }
 
 /// A candidate edit. A triangle that merely changes shape is both removed and added.
@@ -44,8 +44,10 @@ pub struct Projected {
     corners: Vec<[u8; 3]>,
     /// For each added triangle: centroid and normal.
     shapes: Vec<FaceShape>,
-    /// For each added triangle: corner positions and normals (smooth shading only).
-    smooth: Vec<([DVec3; 3], [DVec3; 3])>,
+    /// For each added triangle: corner positions.
+    places: Vec<[DVec3; 3]>,
+    /// For each added triangle: corner normals (smooth shading only).
+    normals: Vec<[DVec3; 3]>,
     n_views: usize,
 }
 
@@ -59,7 +61,8 @@ impl Projected {
         self.vertices.clear();
         self.corners.clear();
         self.shapes.clear();
-        self.smooth.clear();
+        self.places.clear();
+        self.normals.clear();
         self.n_views = scene.n_views();
         for a in &mv.added {
             let corner = a.vertices.map(|v| self.vertex(v, true));
@@ -96,8 +99,9 @@ impl Projected {
         for a in &mv.added {
             let p = a.vertices.map(place);
             self.shapes.push(FaceShape::new(p));
+            self.places.push(p);
             if scene.params.shading == Shading::Smooth {
-                self.smooth.push((p, a.vertices.map(normal)));
+                self.normals.push(a.vertices.map(normal));
             }
         }
     }
@@ -139,13 +143,26 @@ impl Projected {
         self.corners[k].map(|c| self.point(usize::from(c), view))
     }
 
+    /// Prepares added triangle `k`; `None` when it covers no pixel for sure.
+    #[inline(always)]
+    pub fn set_up(&self, scene: &Scene, mv: &Move, k: usize, view: usize) -> Option<Setup> {
+        let points = self.added_points(k, view);
+        let surface = &mv.added[k].surface;
+        let lum = self.added_luminance(scene, surface.albedo, k, view);
+        let mut setup = scene.lattice.setup(points, lum, scene.culls_front(view))?;
+        if let Some(paint) = &surface.paint {
+            let shown = (points, self.places[k]);
+            setup.paint = scene.texels.painted(&scene.lattice, &scene.views[view], shown, paint);
+        }
+        Some(setup)
+    }
+
     /// Corner luminances of added triangle `k`.
     #[inline(always)]
-    pub fn added_luminance(&self, scene: &Scene, mv: &Move, k: usize, view: usize) -> [u8; 3] {
-        let albedo = mv.added[k].albedo;
-        match self.smooth.get(k) {
+    fn added_luminance(&self, scene: &Scene, albedo: [u8; 3], k: usize, view: usize) -> [u8; 3] {
+        match self.normals.get(k) {
             None => scene.flat_luminance(view, &self.shapes[k], albedo),
-            Some((p, n)) => scene.smooth_luminance(view, &self.shapes[k], *p, *n, albedo),
+            Some(n) => scene.smooth_luminance(view, &self.shapes[k], self.places[k], *n, albedo),
         }
     }
 }

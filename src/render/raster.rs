@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::{
     evaluator::Reference,
-    lattice::{DEPTH_BITS, LUM_BITS, PixelRect, Setup},
+    lattice::{DEPTH_BITS, PixelRect, Setup},
     scene::{Scene, SceneFace},
 };
 
@@ -69,10 +69,9 @@ pub fn for_each_fragment(
 ) {
     // Most triangles of a dense model cover no pixel: shade only those that may.
     for_each_setup(scene, view, wanted, |id, face, _| {
-        let points = face.vertices.map(|v| scene.screen_points(v)[view]);
-        let lum = scene.face_luminance(view, face);
-        let s = scene.lattice.setup(points, lum, scene.culls_front(view));
-        s.iter().for_each(|s| for_each_pixel(s, |i, j| on(i, j, fragment(s, id, i, j))));
+        let texels = scene.texels.words();
+        let s = scene.set_up(view, face);
+        s.iter().for_each(|s| for_each_pixel(s, |i, j| on(i, j, fragment(s, texels, id, i, j))));
     });
 }
 
@@ -126,8 +125,8 @@ pub fn for_each_run(s: &Setup, mut on: impl FnMut(Range<i32>, i32)) {
 }
 
 /// What a triangle leaves in a pixel that it covers.
-pub fn fragment(s: &Setup, face: u32, i: i32, j: i32) -> Fragment {
-    Fragment { z: s.depth.at(i, j, DEPTH_BITS) as u16, lum: s.lum.at(i, j, LUM_BITS) as u8, face }
+pub fn fragment(s: &Setup, texels: &[u32], face: u32, i: i32, j: i32) -> Fragment {
+    Fragment { z: s.depth.at(i, j, DEPTH_BITS) as u16, lum: s.lum_at(texels, i, j), face }
 }
 
 /// Sum over all pictures of the squared difference to the reference.

@@ -4,12 +4,15 @@
 //! is integers ([`ScreenPoint`]s and 8-bit luminances). The native twin and the device share this
 //! code, so they cannot differ in it.
 
+use std::sync::Arc;
+
 use glam::DVec3;
 use rayon::prelude::*;
 
 use super::{
-    lattice::{Lattice, ScreenPoint},
+    lattice::{Lattice, ScreenPoint, Setup},
     moves::Move,
+    paint::{Paint, Painted, Texels},
     view::View,
 };
 
@@ -38,13 +41,35 @@ pub struct RenderParams {
     pub interior_views: usize,
 }
 
+/// What a triangle's light falls on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Surface {
+    /// Albedo luminance at each corner.
+    pub albedo: [u8; 3],
+    /// A texture, whose luminance multiplies the albedo.
+    pub paint: Option<Paint>,
+}
+
+impl Surface {
+    /// The same everywhere.
+    pub const WHITE: Self = Self { albedo: [255; 3], paint: None };
+
+    /// Takes corner `from` of another surface as corner `k`.
+    pub fn set_corner(&mut self, k: usize, other: &Self, from: usize) {
+        self.albedo[k] = other.albedo[from];
+        if let (Some(own), Some(other)) = (&mut self.paint, &other.paint) {
+            own.uv[k] = other.uv[from];
+        }
+    }
+}
+
 /// One triangle of the scene.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SceneFace {
     /// Vertex slots, in the mesh's corner order.
     pub vertices: [u32; 3],
-    /// Albedo luminance at each corner.
-    pub albedo: [u8; 3],
+    /// Its material.
+    pub surface: Surface,
 }
 
 /// The current model in every picture.
@@ -56,6 +81,8 @@ pub struct Scene {
     pub views: Vec<View>,
     /// The raster.
     pub lattice: Lattice,
+    /// What triangles are painted with.
+    pub texels: Arc<Texels>,
     /// Triangles by id; `None` where an edit removed one.
     pub faces: Vec<Option<SceneFace>>,
     /// Vertex positions by slot, model space.
@@ -71,6 +98,7 @@ impl Scene {
     pub fn new(
         params: RenderParams,
         views: Vec<View>,
+        texels: Arc<Texels>,
         positions: Vec<DVec3>,
         faces: Vec<Option<SceneFace>>,
     ) -> Self {
@@ -83,7 +111,7 @@ impl Scene {
             Shading::Flat => Vec::new(),
             Shading::Smooth => vertex_normals(&positions, &faces),
         };
-        Self { params, views, lattice, faces, positions, normals, screen }
+        Self { params, views, lattice, texels, faces, positions, normals, screen }
     }
 
     /// Number of pictures.
@@ -122,15 +150,32 @@ impl Scene {
         view < self.params.interior_views
     }
 
+    /// Prepares a triangle that is in the scene; `None` when it covers no pixel for sure.
+    pub fn set_up(&self, view: usize, face: &SceneFace) -> Option<Setup> {
+        let points = face.vertices.map(|v| self.screen_points(v)[view]);
+        let lum = self.face_luminance(view, face);
+        let mut setup = self.lattice.setup(points, lum, self.culls_front(view))?;
+        setup.paint = self.painted(view, face);
+        Some(setup)
+    }
+
+    /// The texture on a triangle that is in the scene and has an area in this view.
+    pub fn painted(&self, view: usize, face: &SceneFace) -> Option<Painted> {
+        let paint = face.surface.paint.as_ref()?;
+        let points = face.vertices.map(|v| self.screen_points(v)[view]);
+        let corners = face.vertices.map(|v| self.positions[v as usize]);
+        self.texels.painted(&self.lattice, &self.views[view], (points, corners), paint)
+    }
+
     /// Luminances at the corners of a triangle that is in the scene.
     pub fn face_luminance(&self, view: usize, face: &SceneFace) -> [u8; 3] {
         let p = face.vertices.map(|v| self.positions[v as usize]);
         let shape = FaceShape::new(p);
         match self.params.shading {
-            Shading::Flat => self.flat_luminance(view, &shape, face.albedo),
+            Shading::Flat => self.flat_luminance(view, &shape, face.surface.albedo),
             Shading::Smooth => {
                 let n = face.vertices.map(|v| self.normals[v as usize]);
-                self.smooth_luminance(view, &shape, p, n, face.albedo)
+                self.smooth_luminance(view, &shape, p, n, face.surface.albedo)
             }
         }
     }
@@ -196,7 +241,7 @@ impl Scene {
         }
         for a in &mv.added {
             self.faces[a.face as usize] =
-                Some(SceneFace { vertices: a.vertices, albedo: a.albedo });
+                Some(SceneFace { vertices: a.vertices, surface: a.surface });
         }
         let n = self.n_views();
         for (vertex, p) in &mv.moved {

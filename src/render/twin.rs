@@ -128,11 +128,9 @@ fn update_view(
         }
     }
     for (k, added) in mv.added.iter().enumerate() {
-        let points = projected.added_points(k, view);
-        let lum = projected.added_luminance(scene, mv, k, view);
-        if let Some(s) = scene.lattice.setup(points, lum, cull) {
+        if let Some(s) = projected.set_up(scene, mv, k, view) {
             raster::for_each_pixel(&s, |i, j| {
-                lists.insert(i, j, raster::fragment(&s, added.face, i, j));
+                lists.insert(i, j, raster::fragment(&s, scene.texels.words(), added.face, i, j));
             });
         }
     }
@@ -161,7 +159,7 @@ fn view_delta(
 
 /// Sets up the triangles that come; `None` when the move cannot be seen in this view.
 fn judged<'a>(
-    scene: &Scene,
+    scene: &'a Scene,
     mv: &'a Move,
     projected: &Projected,
     view: usize,
@@ -174,16 +172,15 @@ fn judged<'a>(
     }
     setups.clear();
     for (k, added) in mv.added.iter().enumerate() {
-        let points = projected.added_points(k, view);
-        let lum = projected.added_luminance(scene, mv, k, view);
-        if let Some(setup) = scene.lattice.setup(points, lum, scene.culls_front(view)) {
+        if let Some(setup) = projected.set_up(scene, mv, k, view) {
             setups.push((added.face, setup));
         }
     }
     // Ranks follow ids, so that the lesser id wins a tie in depth.
     setups.sort_unstable_by_key(|s| s.0);
     debug_assert!(setups.len() <= kernel::MAX_ADDED);
-    Some(kernel::Judged { setups, removed: &mv.removed, rect, lists })
+    let texels = scene.texels.words();
+    Some(kernel::Judged { setups, texels, removed: &mv.removed, rect, lists })
 }
 
 #[cfg(test)]

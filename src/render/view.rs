@@ -92,6 +92,28 @@ impl View {
         PicturePoint { x: 0.5 + 0.5 * x * scale, y: 0.5 - 0.5 * y * scale, depth }
     }
 
+    /// How far a point lies in front of the eye along the viewing direction, for the perspective of what is
+    /// seen; the same for all points where there is none.
+    pub fn distance(&self, p: DVec3) -> f64 {
+        match self.projection {
+            Projection::Perspective => (self.eye - p).dot(self.back).max(self.near * 0.05),
+            Projection::Orthographic => 1.0,
+        }
+    }
+
+    /// Length on a triangle for each pixel of a picture of `size` pixels a side: the mean of its least and its
+    /// greatest, which the angle at which it is seen stretches, but not beyond a least cosine.
+    pub fn unit_per_pixel(&self, p: [DVec3; 3], size: i32, least_cosine: f64) -> f64 {
+        let center = (p[0] + p[1] + p[2]) / 3.0;
+        let normal = (p[1] - p[0]).cross(p[2] - p[0]).normalize_or_zero();
+        let to_eye = match self.projection {
+            Projection::Perspective => (self.eye - center).normalize_or_zero(),
+            Projection::Orthographic => self.back,
+        };
+        let stretched = 1.0 / normal.dot(to_eye).abs().max(least_cosine);
+        2.0 * self.distance(center) / (self.focal * f64::from(size)) * stretched.sqrt()
+    }
+
     /// Whether a surface element at `p` with the given normal (any length) turns its front to the
     /// viewer.
     pub fn sees_front(&self, p: DVec3, normal: DVec3) -> bool {

@@ -57,16 +57,9 @@ fn pictures(mesh: &Mesh, shading: Shading) -> Pictures {
         projection: Projection::Perspective,
         light_degrees: 10.0,
     };
-    Pictures {
-        views: cameras(&bounding_sphere(mesh), &view_params),
-        params: RenderParams {
-            image_size: 128,
-            shading,
-            ambient: 0.1,
-            background: 128,
-            interior_views: 0,
-        },
-    }
+    let params =
+        RenderParams { image_size: 128, shading, ambient: 0.1, background: 128, interior_views: 0 };
+    Pictures::of(mesh, params, cameras(&bounding_sphere(mesh), &view_params))
 }
 
 /// Runs to `target`; returns the outcome, d2 in percent, evaluations and the mesh.
@@ -77,7 +70,7 @@ fn run(policy: Policy, target: usize, max_evaluations: u64) -> (Outcome, f64, u6
     let mut mesh = EditMesh::new(original).unwrap();
     let scene = scene_of_edit_mesh(&mesh, &pictures);
     let twin = Twin::new(&scene, &reference);
-    let mut objective = Objective::new(&mesh, scene, Box::new(twin));
+    let mut objective = Objective::new(&mesh, &pictures.palette, scene, Box::new(twin));
     let params = Params {
         policy,
         rules: Rules { topology: Topology::Preserve, memoryless: memoryless::Params::default() },

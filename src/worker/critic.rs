@@ -4,7 +4,7 @@ use crate::{
     compare::{self, Appearance, Look},
     jobs::spec::{self, Spec},
     mesh::Mesh,
-    metric::Albedo,
+    metric::is_white,
 };
 
 /// The original in 24 views of 512², anti-aliased, lit and shaded as the run-time pictures are.
@@ -14,7 +14,7 @@ impl<'m> Critic<'m> {
     /// Draws the original.
     pub fn new(spec: &Spec, original: &'m Mesh) -> Self {
         let render = &spec.render;
-        let is_white = Albedo::of(original).is_white();
+        let is_white = is_white(original);
         let look = Look {
             shading: match render.shading {
                 spec::Shading::Flat => compare::Shading::Flat,

@@ -154,17 +154,15 @@ pub fn pictures(spec: &Spec, original: &Mesh) -> Pictures {
         },
         light_degrees: r.light_degrees,
     };
-    Pictures {
-        views: cameras(&bounding_sphere(original), &view_params),
-        params: RenderParams {
-            image_size: r.image_size,
-            shading: match r.shading {
-                Shading::Flat => render::Shading::Flat,
-                Shading::Smooth => render::Shading::Smooth,
-            },
-            ambient: r.ambient,
-            background: (r.background * 255.0 + 0.5) as u8,
-            interior_views: r.interior_views as usize,
+    let params = RenderParams {
+        image_size: r.image_size,
+        shading: match r.shading {
+            Shading::Flat => render::Shading::Flat,
+            Shading::Smooth => render::Shading::Smooth,
         },
-    }
+        ambient: r.ambient,
+        background: (r.background * 255.0 + 0.5) as u8,
+        interior_views: r.interior_views as usize,
+    };
+    Pictures::of(original, params, cameras(&bounding_sphere(original), &view_params))
 }

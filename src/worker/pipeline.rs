@@ -5,13 +5,19 @@
 //!    input, the specification and the build alone, not on the device, threads or time;
 //! 2. every accepted edit is recorded once, in order, in the stream and in `progressive.lkpm`.
 
-use std::{ops::ControlFlow, path::Path, sync::OnceLock, thread, time::Instant};
+use std::{
+    ops::ControlFlow,
+    path::Path,
+    sync::{Arc, OnceLock},
+    thread,
+    time::Instant,
+};
 
 use crate::{
     io,
     jobs::{event::Report, spec::Spec},
     mesh::{EditMesh, Mesh, Semantic},
-    metric::with_vertex_normals,
+    metric::{Palette, with_vertex_normals},
     optimize::OptimizeError,
     progressive::ProgressiveError,
     render::RenderError,
@@ -152,11 +158,15 @@ pub fn run(
     }
     let mut figures = Vec::new();
     let pictures = params::pictures(spec, &original);
+    let palette = match simplified {
+        Some(_) => Arc::new(Palette::of(&base, spec.render.image_size)),
+        None => pictures.palette.clone(),
+    };
     let n_coarsest = spec.triangles.iter().min().map_or(base.faces.len(), |n| *n as usize);
     let levels = thread::scope(|scope| {
         let plan = Plan::new(spec, n_coarsest);
         let drawn = draw_ahead(scope, plan, (spec, &original), pictures.clone(), &critic);
-        let studio = Studio::new(&original, pictures, drawn, device);
+        let studio = Studio::new(&original, (pictures, palette), drawn, device);
         let mut job = Job { spec, original: &original, studio, critic: &critic };
         let mut levels = simplifying::run(&mut job, base, &mut recorder, &mut figures)?;
         if spec.optimizes() {

@@ -1,12 +1,12 @@
 //! The pictures of the original, and who judges by them: one studio serves every stage of a job.
 
-use std::sync::mpsc::Receiver;
+use std::sync::{Arc, mpsc::Receiver};
 
 use glam::DVec3;
 
 use crate::{
     mesh::{EditMesh, Mesh},
-    metric::{Objective, Pictures, ViewSet, bounding_sphere, scene_as_drawn},
+    metric::{Objective, Palette, Pictures, ViewSet, bounding_sphere, scene_as_drawn},
     render::{RenderError, Scene, choose},
 };
 
@@ -23,6 +23,8 @@ pub(super) struct Studio<'m> {
     original: &'m Mesh,
     center: DVec3,
     base: Pictures,
+    /// The textures of the mesh that is worked on.
+    palette: Arc<Palette>,
     /// The run-time views, then the same turned.
     sets: Vec<ViewSet>,
     /// Sets that are drawn ahead (`illustrator.rs`).
@@ -35,10 +37,11 @@ pub(super) struct Studio<'m> {
 }
 
 impl<'m> Studio<'m> {
-    /// Of pictures like these, which `drawn` brings as far as they are drawn ahead.
+    /// Of pictures like these, which `drawn` brings as far as they are drawn ahead, for a mesh with these
+    /// textures.
     pub fn new(
         original: &'m Mesh,
-        base: Pictures,
+        (base, palette): (Pictures, Arc<Palette>),
         drawn: Receiver<ViewSet>,
         device: &DeviceChoice,
     ) -> Self {
@@ -46,6 +49,7 @@ impl<'m> Studio<'m> {
             original,
             center: bounding_sphere(original).center,
             base,
+            palette,
             sets: Vec::new(),
             drawn,
             device: device.0.clone(),
@@ -68,7 +72,9 @@ impl<'m> Studio<'m> {
     pub fn add_set(&mut self) {
         let turn = self.sets.len() as u64;
         let draw = |_| ViewSet::turned(self.original, &self.base, self.center, turn);
-        self.sets.push(self.drawn.recv().unwrap_or_else(draw));
+        let mut set = self.drawn.recv().unwrap_or_else(draw);
+        set.pictures.palette = self.palette.clone();
+        self.sets.push(set);
     }
 
     /// Who computes: measured with this mesh, and told, when it is first asked. Draws the run-time views
@@ -105,7 +111,7 @@ impl<'m> Studio<'m> {
         let ViewSet { pictures, reference } = &self.sets[set];
         let scene = self.scene(mesh, pictures);
         let choice = choose(&self.device, &scene, reference.clone())?;
-        let objective = Objective::new(mesh, scene, choice.evaluator);
+        let objective = Objective::new(mesh, &pictures.palette, scene, choice.evaluator);
         let objective = objective.with_reference(reference.clone());
         Ok(if self.has_own_normals { objective.with_own_normals() } else { objective })
     }

@@ -141,7 +141,7 @@ pub(super) struct Kernels {
     pub(super) lists_read: wgpu::BindGroupLayout,
     /// Group 0 for kernels that change them.
     pub(super) lists_write: wgpu::BindGroupLayout,
-    /// Group 1: input and output.
+    /// Group 1: input, output and texels.
     pub(super) work: wgpu::BindGroupLayout,
     /// Group 2: the stacks that lists are built from.
     pub(super) stacks: wgpu::BindGroupLayout,
@@ -157,7 +157,7 @@ impl Kernels {
                 "lists, write",
                 &[WRITE_FOUR, WRITE_FOUR, WRITE_ONE, WRITE, WRITE],
             ),
-            work: layout(gpu, "work", &[READ_INPUT, WRITE]),
+            work: layout(gpu, "work", &[READ_INPUT, WRITE, READ_TEXELS]),
             stacks: layout(gpu, "stacks", &[WRITE, WRITE]),
             pipelines: Default::default(),
         }
@@ -267,6 +267,11 @@ const READ_INPUT: wgpu::BindingType = texture(
     wgpu::StorageTextureAccess::ReadOnly,
     wgpu::TextureViewDimension::D2,
 );
+const READ_TEXELS: wgpu::BindingType = texture(
+    wgpu::TextureFormat::R32Uint,
+    wgpu::StorageTextureAccess::ReadOnly,
+    wgpu::TextureViewDimension::D2,
+);
 const READ_FOUR: wgpu::BindingType = texture(
     wgpu::TextureFormat::Rgba32Uint,
     wgpu::StorageTextureAccess::ReadOnly,
@@ -338,7 +343,7 @@ mod tests {
         CUT_OFF,
         lists::{Counters, MAX_DEPTH},
         pack::BAND_CELLS,
-        work::INPUT_WIDTH_BITS,
+        work::{INPUT_WIDTH_BITS, TEXELS_WIDTH_BITS},
     };
     use super::*;
 
@@ -396,6 +401,7 @@ mod tests {
             mirror!(Counters: pool_used, nodes_used, pool_short, too_deep, cut_off, unsorted);
         assert_eq!(members(&module, "Counters"), counters);
         assert_eq!(constant(&module, "INPUT_WIDTH_BITS"), INPUT_WIDTH_BITS);
+        assert_eq!(constant(&module, "TEXELS_WIDTH_BITS"), TEXELS_WIDTH_BITS);
         assert_eq!(constant(&module, "WORKGROUP"), WORKGROUP);
         assert_eq!(constant(&module, "CUT_OFF"), CUT_OFF);
         assert_eq!(constant(&module, "MAX_DEPTH"), MAX_DEPTH);

@@ -16,7 +16,7 @@ use super::super::{
 use super::{
     encoder,
     kernels::{Kernel, Kernels, Params, bind},
-    pack::{Word, triangle},
+    pack::{TRIANGLE_WORDS, Word, paint_words, triangle},
     work::Work,
 };
 
@@ -289,10 +289,16 @@ fn pack_faces(scene: &Scene, view: usize, faces: Range<usize>) -> (Vec<Word>, u3
         if scene.lattice.setup(points, [0; 3], cull).is_none() {
             continue;
         }
-        let lum = scene.face_luminance(view, face);
-        let Some(setup) = scene.lattice.setup(points, lum, cull) else { continue };
+        let Some(setup) = scene.set_up(view, face) else { continue };
         let at = triangles.len() as u32;
-        triangles.extend(triangle(points, &setup, id as u32).0);
+        let (mut words, _) = triangle(points, &setup, id as u32);
+        if let Some(paint) = &setup.paint {
+            words[2][3] = TRIANGLE_WORDS as u32;
+            triangles.extend(words);
+            triangles.extend(paint_words(paint));
+        } else {
+            triangles.extend(words);
+        }
         let width = (setup.rect.x1 - setup.rect.x0 + 1) as u32;
         let rows = (BAND_PIXELS / width).max(1);
         let (first, last) = (setup.rect.y0 as u32, setup.rect.y1 as u32);

@@ -69,7 +69,7 @@ impl Device {
     /// Renders the scene on an open device and gets ready to judge moves.
     pub(super) fn new(gpu: Gpu, scene: &Scene, reference: Reference) -> Result<Self, RenderError> {
         let mut kernels = Kernels::new(&gpu);
-        let mut work = Work::new(&gpu, &kernels);
+        let mut work = Work::new(&gpu, &kernels, scene.texels.words())?;
         let n_pool = (scene.n_pixels() / 32) as u32;
         let builder = Builder {
             gpu: &gpu,

@@ -3,19 +3,25 @@
 //! Formats (the WGSL side is in common.wgsl and item.wgsl):
 //! - a triangle is three words: corners `x | y << 16` in an order that makes the edge functions
 //!   positive inside, and its flat luminance; depth plane with 16 fraction bits, and its id;
-//!   luminance plane with 16 fraction bits, and 0;
+//!   luminance plane with 16 fraction bits, and how many words further on its texture is described (0: it has
+//!   none);
+//! - a texture on a triangle is six words: three planes with 16 fraction bits, with the first of them the level's
+//!   place and with the second log2 of its width and height; then `from`, `to` and `range` of [`Painted`];
 //! - the ids of the triangles that go are padded with `NIL` to whole words;
 //! - an item is two words: see `Item` in item.wgsl.
 
 use super::super::{
     lattice::{DEPTH_BITS, PixelRect, ScreenPoint, Setup},
     moves::{Move, Projected},
+    paint::Painted,
     scene::Scene,
     tiles::TileBounds,
 };
 
 /// Words of a packed triangle.
-const TRIANGLE_WORDS: usize = 3;
+pub(super) const TRIANGLE_WORDS: usize = 3;
+/// Words of a packed texture.
+const PAINT_WORDS: usize = 6;
 /// Words of a packed item.
 pub(super) const ITEM_WORDS: usize = 2;
 /// No triangle.
@@ -153,12 +159,10 @@ impl Packer {
     /// Prepares the triangles that come, by ascending id, so that the lesser id wins a tie in
     /// depth.
     fn set_up(&mut self, scene: &Scene, mv: &Move, view: usize) {
-        let cull = scene.culls_front(view);
         self.added.clear();
         for (k, added) in mv.added.iter().enumerate() {
             let points = self.projected.added_points(k, view);
-            let lum = self.projected.added_luminance(scene, mv, k, view);
-            if let Some(setup) = scene.lattice.setup(points, lum, cull) {
+            if let Some(setup) = self.projected.set_up(scene, mv, k, view) {
                 let (words, is_turned) = triangle(points, &setup, added.face);
                 self.added.push(Added { face: added.face, setup, is_turned, words });
             }
@@ -171,11 +175,13 @@ impl Packer {
         let at = data.len();
         let (mut is_plain, mut n_turned, mut n_added) = (true, 0, 0);
         for added in self.added.iter().filter(|a| a.setup.may_cover(block)) {
-            is_plain &= added.setup.lum.min == added.setup.lum.max;
+            let is_painted = added.setup.paint.is_some();
+            is_plain &= added.setup.lum.min == added.setup.lum.max && !is_painted;
             n_turned += u32::from(added.is_turned);
             n_added += 1;
             data.extend(added.words);
         }
+        self.paint(block, at, data);
         let columns = (block.x1 - block.x0) as u32 / 2 + 1;
         let rows = (block.y1 - block.y0) as u32 / 2 + 1;
         Item {
@@ -190,6 +196,38 @@ impl Packer {
             is_hidden: false,
         }
     }
+}
+
+impl Packer {
+    /// Describes the textures of the triangles that were packed from `at` on for a block.
+    fn paint(&self, block: &PixelRect, at: usize, data: &mut Vec<Word>) {
+        let packed = self.added.iter().filter(|a| a.setup.may_cover(block));
+        for (k, added) in packed.enumerate() {
+            let Some(paint) = &added.setup.paint else { continue };
+            let own = at + k * TRIANGLE_WORDS;
+            data[own + TRIANGLE_WORDS - 1][3] = (data.len() - own) as u32;
+            data.extend(paint_words(paint));
+        }
+    }
+}
+
+/// A texture on a triangle as the kernels read it.
+pub(super) fn paint_words(paint: &Painted) -> [Word; PAINT_WORDS] {
+    let tags = [paint.at, paint.bits[0] | paint.bits[1] << 8, 0];
+    let plane = |k: usize| {
+        let p = &paint.planes[k];
+        [p.at_origin as u32, p.dx as u32, p.dy as u32, tags[k]]
+    };
+    let pairs = |a: [i32; 2], b: [i32; 2]| [a[0] as u32, a[1] as u32, b[0] as u32, b[1] as u32];
+    let [x, y] = paint.range;
+    [
+        plane(0),
+        plane(1),
+        plane(2),
+        pairs(paint.from, paint.to[0]),
+        pairs(paint.to[1], [x[0], y[0]]),
+        pairs([x[1], y[1]], [0, 0]),
+    ]
 }
 
 fn pack_ids(ids: &[u32], data: &mut Vec<Word>) -> (u32, u32) {

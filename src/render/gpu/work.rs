@@ -10,6 +10,10 @@ use super::{
 pub(super) const INPUT_WIDTH_BITS: u32 = 10;
 /// Words in a row of the input.
 const INPUT_WIDTH: usize = 1 << INPUT_WIDTH_BITS;
+/// log2 of the width of the texels (`TEXELS_WIDTH_BITS` in common.wgsl).
+pub(super) const TEXELS_WIDTH_BITS: u32 = 12;
+/// Texels in a row.
+const TEXELS_WIDTH: usize = 1 << TEXELS_WIDTH_BITS;
 /// First size of the input, rows.
 const FIRST_ROWS: u32 = 64;
 /// First size of the output, bytes.
@@ -18,18 +22,21 @@ const FIRST_OUTPUT: u64 = 1 << 18;
 /// Input, output, and the mappable copy of the output.
 pub(super) struct Work {
     input: wgpu::Texture,
+    texels: wgpu::TextureView,
     output: wgpu::Buffer,
     readback: wgpu::Buffer,
     bound: wgpu::BindGroup,
 }
 
 impl Work {
-    pub(super) fn new(gpu: &Gpu, kernels: &Kernels) -> Self {
+    /// With these texels.
+    pub(super) fn new(gpu: &Gpu, kernels: &Kernels, texels: &[u32]) -> Result<Self, RenderError> {
+        let texels = texel_texture(gpu, texels)?;
         let input = input_texture(gpu, FIRST_ROWS);
         let output = output_buffer(gpu, FIRST_OUTPUT);
         let readback = readback_buffer(gpu, FIRST_OUTPUT);
-        let bound = bind_work(gpu, kernels, &input, &output);
-        Self { input, output, readback, bound }
+        let bound = bind_work(gpu, kernels, [&input_view(&input), &texels], &output);
+        Ok(Self { input, texels, output, readback, bound })
     }
 
     /// The bind group of input and output.
@@ -89,7 +96,8 @@ impl Work {
         if n_bytes > self.output.size() {
             self.output = output_buffer(gpu, n_bytes.next_power_of_two().min(gpu.max_binding));
         }
-        self.bound = bind_work(gpu, kernels, &self.input, &self.output);
+        let textures = [&input_view(&self.input), &self.texels];
+        self.bound = bind_work(gpu, kernels, textures, &self.output);
         Ok(())
     }
 
@@ -124,6 +132,33 @@ fn input_texture(gpu: &Gpu, n_rows: u32) -> wgpu::Texture {
     gpu.texture("input", extent, wgpu::TextureFormat::Rgba32Uint, usage)
 }
 
+fn input_view(input: &wgpu::Texture) -> wgpu::TextureView {
+    input.create_view(&wgpu::TextureViewDescriptor::default())
+}
+
+/// The texels, row after row.
+fn texel_texture(gpu: &Gpu, texels: &[u32]) -> Result<wgpu::TextureView, RenderError> {
+    let n_rows = (texels.len().div_ceil(TEXELS_WIDTH) as u32).max(1);
+    if n_rows > gpu.max_texture_side {
+        let message = format!("{} texels do not fit one texture of it", texels.len());
+        return Err(RenderError::Device(message));
+    }
+    let usage = wgpu::TextureUsages::STORAGE_BINDING | wgpu::TextureUsages::COPY_DST;
+    let extent = (TEXELS_WIDTH as u32, n_rows, 1);
+    let texture = gpu.texture("texels", extent, wgpu::TextureFormat::R32Uint, usage);
+    gpu.check()?;
+    let mut padded = texels.to_vec();
+    padded.resize(TEXELS_WIDTH * n_rows as usize, 0);
+    let layout = wgpu::TexelCopyBufferLayout {
+        offset: 0,
+        bytes_per_row: Some((TEXELS_WIDTH * size_of::<u32>()) as u32),
+        rows_per_image: None,
+    };
+    let bytes = bytemuck::cast_slice(&padded);
+    gpu.queue.write_texture(texture.as_image_copy(), bytes, layout, texture.size());
+    Ok(texture.create_view(&wgpu::TextureViewDescriptor::default()))
+}
+
 fn output_buffer(gpu: &Gpu, size: u64) -> wgpu::Buffer {
     gpu.buffer("output", size, wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC)
 }
@@ -135,10 +170,13 @@ fn readback_buffer(gpu: &Gpu, size: u64) -> wgpu::Buffer {
 fn bind_work(
     gpu: &Gpu,
     kernels: &Kernels,
-    input: &wgpu::Texture,
+    [input, texels]: [&wgpu::TextureView; 2],
     output: &wgpu::Buffer,
 ) -> wgpu::BindGroup {
-    let input = input.create_view(&wgpu::TextureViewDescriptor::default());
-    let resources = [wgpu::BindingResource::TextureView(&input), output.as_entire_binding()];
+    let resources = [
+        wgpu::BindingResource::TextureView(input),
+        output.as_entire_binding(),
+        wgpu::BindingResource::TextureView(texels),
+    ];
     bind(gpu, &kernels.work, &resources)
 }

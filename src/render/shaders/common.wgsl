@@ -15,6 +15,8 @@ const WORKGROUP: u32 = 64u;
 const CUT_OFF: u32 = 0x80000000u;
 // log2 of the input's width in words.
 const INPUT_WIDTH_BITS: u32 = 10u;
+// log2 of the texels' width.
+const TEXELS_WIDTH_BITS: u32 = 12u;
 
 struct Params {
     first_item: u32,
@@ -32,6 +34,7 @@ var<immediate> params: Params;
 
 @group(1) @binding(0) var input: texture_storage_2d<rgba32uint, read>;
 @group(1) @binding(1) var<storage, read_write> output: array<u32>;
+@group(1) @binding(2) var texels: texture_storage_2d<r32uint, read>;
 
 // A word (four numbers) of the input.
 fn word(at: u32) -> vec4<u32> {
@@ -101,9 +104,43 @@ fn covers(t: Triangle, i: i32, j: i32) -> bool {
     return (at_pixel(t.edge_a, i, j) | at_pixel(t.edge_b, i, j) | at_pixel(t.edge_c, i, j)) >= 0;
 }
 
+// A luminance at a pixel of the triangle at `at`, seen through the texture that is described `further` words
+// on (0: it has none). See paint.rs.
+fn painted(at: u32, further: u32, lum: u32, i: i32, j: i32) -> u32 {
+    if further == 0u {
+        return lum;
+    }
+    let near_plane = word(at + further);
+    let one_plane = word(at + further + 1u);
+    let near = u32(at_pixel(bitcast<vec3<i32>>(near_plane.xyz), i, j) >> 16u);
+    let one = u32(at_pixel(bitcast<vec3<i32>>(one_plane.xyz), i, j) >> 16u);
+    let two = u32(at_pixel(bitcast<vec3<i32>>(word(at + further + 2u).xyz), i, j) >> 16u);
+    let per_near = (1u << 29u) / max(near, 1u);
+    let share_one = vec2<i32>(i32((one * per_near) >> 14u));
+    let share_two = vec2<i32>(i32((two * per_near) >> 14u));
+    let ends = bitcast<vec4<i32>>(word(at + further + 3u));
+    let rest = bitcast<vec4<i32>>(word(at + further + 4u));
+    let high = bitcast<vec4<i32>>(word(at + further + 5u));
+    let by = share_one * ends.zw + share_two * rest.xy;
+    let place = clamp(ends.xy + ((by + (1 << 14u)) >> vec2<u32>(15u)), rest.zw, high.xy);
+    let bits = vec2<u32>(one_plane.w & 0xffu, one_plane.w >> 8u);
+    let whole = vec2<u32>(place >> vec2<u32>(6u)) & ((vec2<u32>(1u) << bits) - 1u);
+    let texel = near_plane.w + (whole.y << bits.x) + whole.x;
+    let column = texel & ((1u << TEXELS_WIDTH_BITS) - 1u);
+    let four = textureLoad(texels, vec2<u32>(column, texel >> TEXELS_WIDTH_BITS)).x;
+    let share = vec2<u32>(place & vec2<i32>(63));
+    let left = vec2<u32>(four & 0xffu, (four >> 16u) & 0xffu);
+    let right = vec2<u32>((four >> 8u) & 0xffu, four >> 24u);
+    let across = left * (64u - share.x) + right * share.x;
+    let seen = (across.x * (64u - share.y) + across.y * share.y + 2048u) >> 12u;
+    return (lum * seen * 257u + 32768u) >> 16u;
+}
+
 // z << 16 | luminance << 8 of a covered pixel. The host scaled both planes to 16 fraction bits;
 // clamping to the corners' range, as lattice.rs does, changes nothing where the pixel is covered.
 fn fragment_of(t: Triangle, at: u32, i: i32, j: i32) -> u32 {
-    let lum = at_pixel(bitcast<vec3<i32>>(word(at + 2u).xyz), i, j);
-    return (u32(at_pixel(t.depth, i, j)) & 0xffff0000u) | ((u32(lum) >> 8u) & 0xff00u);
+    let plane = word(at + 2u);
+    let lum = (u32(at_pixel(bitcast<vec3<i32>>(plane.xyz), i, j)) >> 16u) & 0xffu;
+    let seen = painted(at, plane.w, lum, i, j);
+    return (u32(at_pixel(t.depth, i, j)) & 0xffff0000u) | (seen << 8u);
 }

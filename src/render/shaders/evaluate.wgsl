@@ -41,7 +41,14 @@ fn luminances(item: Item, key: vec4<u32>, i: vec4<i32>, j: vec4<i32>) -> vec4<u3
     let d = bitcast<vec4<i32>>(word(at.w));
     let lum = vec4<i32>(a.x, b.x, c.x, d.x) + vec4<i32>(a.y, b.y, c.y, d.y) * i
         + vec4<i32>(a.z, b.z, c.z, d.z) * j;
-    return bitcast<vec4<u32>>(lum) >> vec4<u32>(16u);
+    var seen = (bitcast<vec4<u32>>(lum) >> vec4<u32>(16u)) & vec4<u32>(0xffu);
+    let further = bitcast<vec4<u32>>(vec4<i32>(a.w, b.w, c.w, d.w));
+    if any(further != vec4<u32>(0u)) {
+        for (var k = 0u; k < 4u; k += 1u) {
+            seen[k] = painted(at[k] - 2u, further[k], seen[k], i[k], j[k]);
+        }
+    }
+    return seen;
 }
 
 @compute @workgroup_size(64)

@@ -1,0 +1,146 @@
+//! What a triangle's light falls on: material colour times vertex colour as the albedo of its corners, in 8 bits
+//! of luminance, and the texture.
+//!
+//! A model of one single colour is drawn white, as the papers do: then only its shape counts, and
+//! it stands out against the grey background whatever its paint. Luminance of a vertex colour times that of a
+//! texture stands for the luminance of their product, which is exact where one of them is grey.
+
+use std::sync::Arc;
+
+use crate::{
+    mesh::{AttributeLayer, Collapse, EditMesh, FaceId, Material, Mesh, Semantic},
+    render::{Paint, Surface},
+};
+
+use super::{
+    image,
+    palette::{Painting, Palette},
+};
+
+/// Luminance of an RGB(A) vector; white when it is too short to be one.
+fn luminance(colour: &[f32]) -> f32 {
+    match colour {
+        [r, g, b, ..] => image::luminance([*r, *g, *b]),
+        _ => 1.0,
+    }
+}
+
+/// See the module.
+#[derive(Clone, Debug, Default)]
+pub struct Appearance {
+    /// By wedge: luminance of the vertex colour; empty when there are no colours.
+    wedges: Vec<f32>,
+    /// By material; empty when the whole model is white.
+    materials: Vec<f32>,
+    palette: Arc<Palette>,
+}
+
+impl Appearance {
+    /// Of a mesh with its textures; all white when it has one plain material and no vertex colours.
+    pub fn of(mesh: &Mesh, palette: &Arc<Palette>) -> Self {
+        let mut this = Self { palette: palette.clone(), ..Self::default() };
+        this.extend(mesh);
+        if !is_white(mesh) {
+            // A texture has the factor in it.
+            let of_material = |(k, m): (u32, &Material)| match palette.painting(k) {
+                Some(_) => 1.0,
+                None => luminance(&m.base_color).clamp(0.0, 1.0),
+            };
+            this.materials = (0..).zip(&mesh.materials).map(of_material).collect();
+        }
+        this
+    }
+
+    /// Takes in wedges that were appended since, and forgets those that an undo removed.
+    pub fn extend(&mut self, mesh: &Mesh) {
+        self.wedges.truncate(mesh.n_wedges());
+        if let Some(layer) = mesh.layer(Semantic::Color(0)) {
+            let known = self.wedges.len() * layer.width;
+            let rest = layer.values.get(known..).unwrap_or_default();
+            self.wedges.extend(rest.chunks_exact(layer.width.max(1)).map(luminance));
+        }
+    }
+
+    /// The surface of a triangle.
+    pub fn of_face(&self, mesh: &Mesh, face: FaceId) -> Surface {
+        let Some(wedges) = mesh.face_wedges.get(face.index()) else {
+            return Surface { albedo: [self.byte(1.0, mesh, face); 3], paint: None };
+        };
+        let colour = |w: u32| self.wedges.get(w as usize).copied().unwrap_or(1.0);
+        let albedo = wedges.map(|w| self.byte(colour(w), mesh, face));
+        let paint = self.painting(mesh, face).map(|(painting, at)| {
+            let layer = &mesh.layers[at];
+            let place = |w: u32| {
+                let start = w as usize * layer.width;
+                painting.place(layer.values.get(start..start + layer.width).unwrap_or_default())
+            };
+            Paint { map: painting.map, uv: wedges.map(place) }
+        });
+        Surface { albedo, paint }
+    }
+
+    /// The surface of a surviving triangle after a planned collapse.
+    pub fn of_face_after(&self, mesh: &EditMesh, plan: &Collapse, face: FaceId) -> Surface {
+        let mut surface = self.of_face(mesh.mesh(), face);
+        for r in plan.rewedged.iter().filter(|r| r.corner.face() == face) {
+            let nth = (r.to.0 - plan.first_new_wedge.0) as usize;
+            self.set_corner(&mut surface, r.corner.k(), (mesh, face), (&plan.new_wedges, nth));
+        }
+        surface
+    }
+
+    /// Gives corner `k` of the surface of `face` the `nth` of the wedges that a planned edit appends.
+    pub fn set_corner(
+        &self,
+        surface: &mut Surface,
+        k: usize,
+        (mesh, face): (&EditMesh, FaceId),
+        (values, nth): (&[f32], usize),
+    ) {
+        let layers = &mesh.mesh().layers;
+        if !self.wedges.is_empty() {
+            let at = layers.iter().position(|l| l.semantic == Semantic::Color(0));
+            if let Some(colour) = at.and_then(|at| new_wedge_value(layers, values, (nth, at))) {
+                surface.albedo[k] = self.byte(luminance(colour), mesh.mesh(), face);
+            }
+        }
+        let painting = self.painting(mesh.mesh(), face);
+        if let (Some((painting, at)), Some(paint)) = (painting, &mut surface.paint)
+            && let Some(uv) = new_wedge_value(layers, values, (nth, at))
+        {
+            paint.uv[k] = painting.place(uv);
+        }
+    }
+
+    /// What a triangle is painted with, and the layer of the coordinates.
+    fn painting(&self, mesh: &Mesh, face: FaceId) -> Option<(&Painting, usize)> {
+        let painting = self.palette.painting(mesh.material_of(face))?;
+        let semantic = Semantic::TexCoord(painting.tex_coord);
+        Some((painting, mesh.layers.iter().position(|l| l.semantic == semantic)?))
+    }
+
+    fn byte(&self, vertex_luminance: f32, mesh: &Mesh, face: FaceId) -> u8 {
+        let material = mesh.material_of(face) as usize;
+        let material = self.materials.get(material).copied().unwrap_or(1.0);
+        ((vertex_luminance * material).clamp(0.0, 1.0) * 255.0 + 0.5) as u8
+    }
+}
+
+/// Whether a mesh is drawn white: it has one colour, no vertex colours and no texture.
+pub fn is_white(mesh: &Mesh) -> bool {
+    let first = mesh.materials.first().map(|m| m.base_color);
+    let is_plain = |m: &Material| Some(m.base_color) == first && m.base_texture.is_none();
+    mesh.materials.iter().all(is_plain) && mesh.layer(Semantic::Color(0)).is_none()
+}
+
+/// The values of layer `at` of the `nth` wedge that an edit appends.
+fn new_wedge_value<'a>(
+    layers: &[AttributeLayer],
+    values: &'a [f32],
+    (nth, at): (usize, usize),
+) -> Option<&'a [f32]> {
+    let stride: usize = layers.iter().map(|l| l.width).sum();
+    let offset: usize = layers[..at].iter().map(|l| l.width).sum();
+    let start = nth * stride + offset;
+    values.get(start..start + layers[at].width)
+}

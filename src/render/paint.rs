@@ -1,0 +1,265 @@
+//! Textured surfaces, in integers.
+//!
+//! A texture is a pyramid of luminances, each level half as wide and high as the one before. The host chooses
+//! the level of a triangle in a view, so that a texel is about a pixel wide there (a coarse picture must not
+//! alias), and prepares what is affine in the picture ([`Painted`]); what remains for each pixel is one division
+//! and one look at four neighbouring texels, in arithmetic that the native twin and the kernels share.
+//!
+//! Invariants:
+//! 1. sides of a level are powers of two, so that a texture repeats by masking;
+//! 2. a word of [`Texels`] holds a texel and its right, lower, and lower right neighbour: one look is enough;
+//! 3. a triangle spans at most 2^9 texels of its level along each axis;
+//! 4. what a triangle looks like in a pixel depends on its corners' places and coordinates, and on the view.
+
+use glam::DVec3;
+
+use super::{
+    lattice::{Lattice, Plane, ScreenPoint},
+    view::View,
+};
+
+/// Fraction bits of the planes of [`Painted`].
+pub const PAINT_BITS: u32 = 16;
+/// Nearness of the nearest corner.
+const NEAREST: f64 = 16_384.0;
+/// Fraction bits of texel coordinates.
+const TEXEL_BITS: u32 = 6;
+/// The most that a triangle's coordinates may span.
+const MAX_SPAN: f64 = 32_768.0;
+/// A surface seen at so flat an angle counts as seen at this one: least cosine.
+const LEAST_COSINE: f64 = 1.0 / 16.0;
+
+/// The textures of a model.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Texels {
+    words: Vec<u32>,
+    maps: Vec<Map>,
+}
+
+/// One texture.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Map {
+    levels: Vec<Level>,
+    is_clamped: [bool; 2],
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Level {
+    /// First word.
+    at: u32,
+    /// log2 of width and height.
+    bits: [u32; 2],
+}
+
+/// A texture on a triangle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Paint {
+    /// Number of the texture in [`Texels`].
+    pub map: u32,
+    /// Coordinates at each corner; the texture covers 0..1, downwards and to the right.
+    pub uv: [[f32; 2]; 3],
+}
+
+/// What a texture adds to a [`Setup`](super::lattice::Setup).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Painted {
+    /// How near the surface is, at most 2^14, and the shares of corners 1 and 2 in that: affine.
+    pub planes: [Plane; 3],
+    /// Texel coordinates at corner 0, in 64ths, half a texel to the upper left.
+    pub from: [i32; 2],
+    /// What is added to them on the way to corners 1 and 2.
+    pub to: [[i32; 2]; 2],
+    /// Bounds of texel coordinates where the texture does not repeat.
+    pub range: [[i32; 2]; 2],
+    /// First word of the level.
+    pub at: u32,
+    /// log2 of its width and height.
+    pub bits: [u32; 2],
+}
+
+impl Texels {
+    /// Adds a texture of 2^`bits` texels, luminances row by row from the top; returns its number.
+    /// Coordinates beyond its edges repeat, or are held at them along the axes that are clamped.
+    pub fn add(&mut self, bits: [u32; 2], luminances: Vec<u8>, is_clamped: [bool; 2]) -> u32 {
+        let (mut levels, mut bits, mut level) = (Vec::new(), bits, luminances);
+        loop {
+            levels.push(Level { at: self.words.len() as u32, bits });
+            self.append(&level, bits, is_clamped);
+            if bits == [0, 0] {
+                break;
+            }
+            (level, bits) = halved(&level, bits);
+        }
+        self.maps.push(Map { levels, is_clamped });
+        self.maps.len() as u32 - 1
+    }
+
+    /// Whether there are no textures.
+    pub fn is_empty(&self) -> bool {
+        self.maps.is_empty()
+    }
+
+    /// The words, level after level.
+    pub fn words(&self) -> &[u32] {
+        &self.words
+    }
+
+    fn append(&mut self, level: &[u8], bits: [u32; 2], is_clamped: [bool; 2]) {
+        let size = bits.map(|b| 1_usize << b);
+        let next = |k: usize, axis: usize| match k + 1 {
+            end if end < size[axis] => end,
+            _ if is_clamped[axis] => k,
+            _ => 0,
+        };
+        for y in 0..size[1] {
+            let (row, below) = (y * size[0], next(y, 1) * size[0]);
+            self.words.extend((0..size[0]).map(|x| {
+                let right = next(x, 0);
+                let four = [row + x, row + right, below + x, below + right].map(|at| level[at]);
+                u32::from_le_bytes(four)
+            }));
+        }
+    }
+
+    /// Prepares a texture on a triangle: `points` in the picture, `corners` in the model.
+    pub fn painted(
+        &self,
+        lattice: &Lattice,
+        view: &View,
+        (points, corners): ([ScreenPoint; 3], [DVec3; 3]),
+        paint: &Paint,
+    ) -> Option<Painted> {
+        let map = self.maps.get(paint.map as usize)?;
+        let uv = paint.uv.map(|c| c.map(f64::from));
+        let (level, place) = map.level_for(lattice, view, corners, uv);
+        let distances = corners.map(|p| view.distance(p));
+        let least = distances[0].min(distances[1]).min(distances[2]);
+        let near = distances.map(|w| (NEAREST * least / w + 0.5) as i32);
+        let planes = [near, [0, near[1], 0], [0, 0, near[2]]];
+        let span = |k: usize, axis: usize| -> i32 {
+            let by = place[k][axis] - place[0][axis];
+            (by.clamp(-MAX_SPAN, MAX_SPAN) + 0.5).floor() as i32
+        };
+        let half = 1 << (TEXEL_BITS - 1);
+        let last = |axis: usize| ((1 << level.bits[axis]) - 1) << TEXEL_BITS;
+        let range = |axis: usize| match map.is_clamped[axis] {
+            true => [0, last(axis)],
+            false => [i32::MIN, i32::MAX],
+        };
+        Some(Painted {
+            planes: planes.map(|values| lattice.affine(points, values, PAINT_BITS)),
+            from: [0, 1].map(|axis| (place[0][axis] + 0.5).floor() as i32 - half),
+            to: [[span(1, 0), span(1, 1)], [span(2, 0), span(2, 1)]],
+            range: [range(0), range(1)],
+            at: level.at,
+            bits: level.bits,
+        })
+    }
+}
+
+impl Map {
+    /// The level for a triangle in a view, and its corners' coordinates there in 64ths of a texel.
+    fn level_for(
+        &self,
+        lattice: &Lattice,
+        view: &View,
+        corners: [DVec3; 3],
+        uv: [[f64; 2]; 3],
+    ) -> (Level, [[f64; 2]; 3]) {
+        let finest = self.levels[0];
+        let size = finest.bits.map(|b| f64::from(1_u32 << b));
+        // Near the texture, so that what follows stays small: whole repetitions make no difference.
+        let origin = [0, 1].map(|axis| uv[0][axis].floor());
+        let mut place =
+            uv.map(|c| [0, 1].map(|axis| self.settle(axis, c[axis], origin[axis]) * size[axis]));
+        let mut rate = texels_per_unit(corners, place)
+            * view.unit_per_pixel(corners, lattice.size, LEAST_COSINE);
+        let fits = |place: &[[f64; 2]; 3]| {
+            let most = MAX_SPAN / f64::from(1 << TEXEL_BITS);
+            let span = |k: usize, axis: usize| (place[k][axis] - place[0][axis]).abs();
+            (1..3).all(|k| span(k, 0) <= most && span(k, 1) <= most)
+        };
+        let mut level = 0;
+        while level + 1 < self.levels.len() && (rate > std::f64::consts::SQRT_2 || !fits(&place)) {
+            let by = [0, 1].map(|axis| if self.levels[level].bits[axis] > 0 { 0.5 } else { 1.0 });
+            place = place.map(|c| [c[0] * by[0], c[1] * by[1]]);
+            rate *= 0.5;
+            level += 1;
+        }
+        let fine = f64::from(1 << TEXEL_BITS);
+        (self.levels[level], place.map(|c| c.map(|x| x * fine)))
+    }
+
+    /// A coordinate near the texture.
+    fn settle(&self, axis: usize, c: f64, origin: f64) -> f64 {
+        const FAR: f64 = 1024.0;
+        if self.is_clamped[axis] { c.clamp(-1.0, 2.0) } else { (c - origin).clamp(-FAR, FAR) }
+    }
+}
+
+/// Texels for each unit of length, on average over all directions in the triangle: half the squared norm of the
+/// map from places to coordinates is the mean square of that.
+fn texels_per_unit(p: [DVec3; 3], place: [[f64; 2]; 3]) -> f64 {
+    let (a, b) = (p[1] - p[0], p[2] - p[0]);
+    let area2 = a.cross(b).length_squared();
+    if area2 == 0.0 {
+        return 0.0;
+    }
+    let norm = |axis: usize| {
+        let (s, t) = (place[1][axis] - place[0][axis], place[2][axis] - place[0][axis]);
+        b.length_squared() * s * s - 2.0 * a.dot(b) * s * t + a.length_squared() * t * t
+    };
+    (0.5 * (norm(0) + norm(1)).max(0.0) / area2).sqrt()
+}
+
+/// The next level: means of two by two.
+fn halved(level: &[u8], bits: [u32; 2]) -> (Vec<u8>, [u32; 2]) {
+    let smaller = bits.map(|b| b.saturating_sub(1));
+    let (width, step) = (1_usize << bits[0], [0, 1].map(|axis| usize::from(bits[axis] > 0)));
+    let mut out = Vec::with_capacity(1 << (smaller[0] + smaller[1]));
+    for y in 0..1_usize << smaller[1] {
+        for x in 0..1_usize << smaller[0] {
+            let at = |dx: usize, dy: usize| {
+                let (x, y) = ((x << step[0]) + dx * step[0], (y << step[1]) + dy * step[1]);
+                u32::from(level[y * width + x])
+            };
+            out.push(((at(0, 0) + at(1, 0) + at(0, 1) + at(1, 1) + 2) >> 2) as u8);
+        }
+    }
+    (out, smaller)
+}
+
+impl Painted {
+    /// The texture's luminance at pixel (i, j).
+    #[inline]
+    pub fn at(&self, words: &[u32], i: i32, j: i32) -> u32 {
+        let [near, one, two] = [0, 1, 2].map(|k| self.planes[k].at(i, j, PAINT_BITS) as u32);
+        let per_near = (1 << 29) / near.max(1);
+        let shares = [one, two].map(|share| (share.wrapping_mul(per_near) >> 14) as i32);
+        let coordinate = |axis: usize| {
+            let by = shares[0]
+                .wrapping_mul(self.to[0][axis])
+                .wrapping_add(shares[1].wrapping_mul(self.to[1][axis]));
+            let [low, high] = self.range[axis];
+            self.from[axis].wrapping_add(by.wrapping_add(1 << 14) >> 15).clamp(low, high)
+        };
+        let (x, y) = (coordinate(0), coordinate(1));
+        let mask = self.bits.map(|b| (1_i32 << b) - 1);
+        let texel = ((y >> TEXEL_BITS & mask[1]) << self.bits[0]) + (x >> TEXEL_BITS & mask[0]);
+        let [a, b, c, d] = words
+            .get(self.at as usize + texel as usize)
+            .copied()
+            .unwrap_or(u32::MAX)
+            .to_le_bytes()
+            .map(u32::from);
+        let (fx, fy) = ((x & 63) as u32, (y & 63) as u32);
+        let (top, bottom) = (a * (64 - fx) + b * fx, c * (64 - fx) + d * fx);
+        (top * (64 - fy) + bottom * fy + 2048) >> 12
+    }
+}
+
+/// A luminance seen through a texture's: the product of two shares of 255, rounded.
+#[inline]
+pub fn modulated(luminance: u32, texel: u32) -> u32 {
+    (luminance * texel * 257 + 32_768) >> 16
+}
