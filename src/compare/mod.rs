@@ -10,6 +10,7 @@ pub mod raster;
 pub mod sample;
 mod scan;
 pub mod sheet;
+mod texture;
 
 pub use evaluate::{Comparison, Params, Reference, compare, report_text};
 pub use plot::{CurvePoint, PlotParams, PlotX, energy_plot};

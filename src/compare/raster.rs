@@ -18,9 +18,12 @@ use glam::DVec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::scan::{Band, Paint, Spot, rows_spanned};
+use super::{
+    scan::{Band, Paint, Spot, rows_spanned},
+    texture::{Brush, Texture},
+};
 use crate::{
-    mesh::{Mesh, Semantic, WedgeId},
+    mesh::{Material, Mesh, Pixels, Semantic, TextureUse, WedgeId, Wrap},
     metric::image::{luminance, srgb_from_linear},
     render::view::{Projection, View},
 };
@@ -44,7 +47,7 @@ pub enum Appearance {
     /// White all over, as in the papers.
     #[default]
     White,
-    /// Material base colour × vertex colour.
+    /// Material base colour × base colour texture × vertex colour.
     Coloured,
 }
 
@@ -88,25 +91,33 @@ pub struct Drawable<'m, const N: usize> {
     corner_normals: Vec<[DVec3; 3]>,
     /// Colour of each corner; empty when the surface is white.
     corner_colours: Vec<[[f32; N]; 3]>,
+    /// By material; empty when the surface is white.
+    textures: Vec<Option<(TextureUse, Texture<N>)>>,
 }
 
 impl<'m> Drawable<'m, 1> {
     /// For pictures of linear luminance, which differences are taken of.
     pub fn luminance(mesh: &'m Mesh, look: &Look) -> Self {
-        Self::new(mesh, look, |colour| [luminance(colour)])
+        Self::new(mesh, look, |colour| [luminance(colour)], |texel| [luminance(texel)])
     }
 }
 
 impl<'m> Drawable<'m, 3> {
     /// For pictures to look at: surface colours are sRGB-encoded, then shaded, so that light and
-    /// background are the same greys as in the luminance pictures.
+    /// background are the same greys as in the luminance pictures. Textures are encoded already.
     pub fn display(mesh: &'m Mesh, look: &Look) -> Self {
-        Self::new(mesh, look, |colour| colour.map(|c| srgb_from_linear(f64::from(c)) as f32))
+        let encode = |colour: [f32; 3]| colour.map(|c| srgb_from_linear(f64::from(c)) as f32);
+        Self::new(mesh, look, encode, |texel| texel)
     }
 }
 
 impl<'m, const N: usize> Drawable<'m, N> {
-    fn new(mesh: &'m Mesh, look: &Look, encode: impl Fn([f32; 3]) -> [f32; N]) -> Self {
+    fn new(
+        mesh: &'m Mesh,
+        look: &Look,
+        encode: impl Fn([f32; 3]) -> [f32; N],
+        encode_texel: impl Fn([f32; 3]) -> [f32; N] + Sync,
+    ) -> Self {
         let area_normals = area_normals(mesh);
         let corner_normals = match look.shading {
             Shading::Flat => Vec::new(),
@@ -121,8 +132,15 @@ impl<'m, const N: usize> Drawable<'m, N> {
                 linear_colours(mesh).map(|corners| corners.map(&encode)).collect()
             }
         };
+        let textures = match look.appearance {
+            Appearance::White => Vec::new(),
+            Appearance::Coloured => {
+                let texture = |m: &Material| texture(mesh, m, &encode_texel);
+                mesh.materials.par_iter().map(texture).collect()
+            }
+        };
         let face_normals = area_normals.into_iter().map(DVec3::normalize_or_zero).collect();
-        Self { mesh, face_normals, corner_normals, corner_colours }
+        Self { mesh, face_normals, corner_normals, corner_colours, textures }
     }
 
     /// The same with the normals that the mesh has as an attribute, brought to unit length as in a
@@ -137,6 +155,18 @@ impl<'m, const N: usize> Drawable<'m, N> {
         };
         let corner_normals = self.mesh.face_wedges.iter().map(|f| f.map(stored)).collect();
         Self { corner_normals, ..self }
+    }
+
+    /// The texture of a triangle that is drawn there.
+    fn brush(&self, face: usize, spots: &[Spot; 3]) -> Option<Brush<'_, N>> {
+        let material = self.mesh.face_materials.get(face).copied().unwrap_or(0);
+        let (at, texture) = self.textures.get(material as usize)?.as_ref()?;
+        let layer = self.mesh.layer(Semantic::TexCoord(at.tex_coord))?;
+        let uv = self.mesh.face_wedges.get(face)?.map(|w| match layer.get(WedgeId(w)) {
+            &[u, v, ..] => at.transform.map(|[a, b, c]| a * u + b * v + c),
+            _ => [0.0; 2],
+        });
+        Some(texture.on(uv, spots))
     }
 
     fn paints(&self, face: usize, view: &View, look: &Look) -> [Paint<N>; 3] {
@@ -187,7 +217,8 @@ fn picture<const N: usize>(drawable: &Drawable<'_, N>, view: &View, look: &Look)
         band.clear(first..(first + rows_of_band).min(side), look.background as f32);
         for face in faces {
             let corners = drawable.mesh.faces[*face as usize].map(|v| spots[v as usize]);
-            band.draw(&corners, &drawable.paints(*face as usize, view, look));
+            let brush = drawable.brush(*face as usize, &corners);
+            band.draw(&corners, &drawable.paints(*face as usize, view, look), brush.as_ref());
         }
         box_filter(&band, look, &mut pixels);
     }
@@ -279,12 +310,36 @@ fn smooth_normals(mesh: &Mesh, area_normals: &[DVec3]) -> Vec<DVec3> {
     shared.into_iter().map(|v| sums[v].normalize_or_zero()).collect()
 }
 
+/// The decoded image of a texture.
+fn pixels<'m>(mesh: &'m Mesh, at: &TextureUse) -> Option<(&'m Pixels, [Wrap; 2])> {
+    let texture = mesh.textures.get(at.texture as usize)?;
+    let image = mesh.images.get(texture.image? as usize)?;
+    Some((image.pixels.as_deref()?, texture.wrap))
+}
+
+/// The base colour texture of a material, if it has one that was read, with the factor in it.
+fn texture<const N: usize>(
+    mesh: &Mesh,
+    material: &Material,
+    encode: impl Fn([f32; 3]) -> [f32; N],
+) -> Option<(TextureUse, Texture<N>)> {
+    let at = material.base_texture?;
+    let (pixels, wrap) = pixels(mesh, &at)?;
+    let factor = material.base_color;
+    let lit = |texel: [f32; 3]| encode([0, 1, 2].map(|c| texel[c] * factor[c]));
+    Some((at, Texture::new(pixels, wrap, lit)))
+}
+
 /// Linear RGB of every corner: base colour of the material × the first colour set.
 fn linear_colours(mesh: &Mesh) -> impl Iterator<Item = [[f32; 3]; 3]> {
     let layer = mesh.layer(Semantic::Color(0)).filter(|layer| layer.width >= 3);
     (0..mesh.faces.len()).map(move |face| {
         let material = mesh.face_materials.get(face).copied().unwrap_or(0) as usize;
-        let base = mesh.materials.get(material).map_or([1.0; 4], |m| m.base_color);
+        // A texture has the factor in it.
+        let is_textured =
+            |m: &&Material| m.base_texture.is_some_and(|at| pixels(mesh, &at).is_some());
+        let material = mesh.materials.get(material).filter(|m| !is_textured(m));
+        let base = material.map_or([1.0; 4], |m| m.base_color);
         [0, 1, 2].map(|k| {
             let vertex = layer.map_or([1.0; 3], |layer| {
                 let at = mesh.face_wedges[face][k] as usize * layer.width;

@@ -10,6 +10,8 @@
 
 use std::ops::Range;
 
+use super::texture::Brush;
+
 /// A projected corner: `x` to the right and `y` down in samples, `z` growing away from the eye and
 /// affine over the triangle's picture, `inv_w` the reciprocal of the distance along the view axis.
 #[derive(Clone, Copy, Debug)]
@@ -63,8 +65,15 @@ impl<const N: usize> Band<N> {
     }
 
     /// Draws one triangle whose paint varies as it does on the surface (perspective-correct).
-    pub(super) fn draw(&mut self, spots: &[Spot; 3], paints: &[Paint<N>; 3]) {
-        if paints[0] == paints[1] && paints[0] == paints[2] {
+    pub(super) fn draw(
+        &mut self,
+        spots: &[Spot; 3],
+        paints: &[Paint<N>; 3],
+        brush: Option<&Brush<'_, N>>,
+    ) {
+        if let Some(brush) = brush {
+            self.draw_textured(spots, paints, brush);
+        } else if paints[0] == paints[1] && paints[0] == paints[2] {
             self.draw_constant(spots, paints[0].lit());
         } else {
             self.draw_varying(spots, paints);
@@ -111,6 +120,37 @@ impl<const N: usize> Band<N> {
                     *nearest = z;
                     let w = 1.0 / weight.at(i);
                     let colour = colour.map(|c| c.at(i) * w);
+                    *sample = Paint { shade: shade.at(i) * w, colour }.lit();
+                }
+            }
+        });
+    }
+}
+
+impl<const N: usize> Band<N> {
+    fn draw_textured(&mut self, spots: &[Spot; 3], paints: &[Paint<N>; 3], brush: &Brush<'_, N>) {
+        let Some(depth) = DepthPlane::through(spots) else { return };
+        let over_w = |value: [f32; 3]| {
+            Plane::through(spots, [0, 1, 2].map(|k| f64::from(value[k]) * spots[k].inv_w))
+        };
+        let weight = over_w([1.0; 3]);
+        let shade = over_w(paints.map(|p| p.shade));
+        let colour: [Plane; N] = std::array::from_fn(|c| over_w(paints.map(|p| p.colour[c])));
+        let uv = [0, 1].map(|axis| over_w(brush.uv.map(|c| c[axis])));
+        let (side, first) = (self.side, self.rows.start);
+        for_each_span(spots, side, self.rows.clone(), |row, columns| {
+            let line = |plane: Plane| plane.along(row, columns.start);
+            let (z, weight, shade) = (depth.along(row, columns.start), line(weight), line(shade));
+            let (colour, uv) = (colour.map(line), uv.map(line));
+            let at = (row - first) * side + columns.start..(row - first) * side + columns.end;
+            let samples = self.depth[at.clone()].iter_mut().zip(&mut self.values[at]);
+            for (i, (nearest, sample)) in (0_i32..).zip(samples) {
+                let z = z.at(i);
+                if z < *nearest {
+                    *nearest = z;
+                    let w = 1.0 / weight.at(i);
+                    let texel = brush.at(uv.map(|c| c.at(i) * w));
+                    let colour = std::array::from_fn(|c| colour[c].at(i) * w * texel[c]);
                     *sample = Paint { shade: shade.at(i) * w, colour }.lit();
                 }
             }
@@ -295,11 +335,19 @@ mod tests {
     fn a_right_triangle_covers_half_its_square() {
         let mut band = Band::<1>::new(8);
         band.clear(0..band.side, 0.0);
-        band.draw(&[spot(0.0, 0.0, 0.5), spot(8.0, 0.0, 0.5), spot(0.0, 8.0, 0.5)], &white(1.0));
+        band.draw(
+            &[spot(0.0, 0.0, 0.5), spot(8.0, 0.0, 0.5), spot(0.0, 8.0, 0.5)],
+            &white(1.0),
+            None,
+        );
         // Samples on the hypotenuse belong to one of the two triangles of the square, not to both.
         let lower = band.values.iter().filter(|v| v[0] == 1.0).count();
         band.clear(0..band.side, 0.0);
-        band.draw(&[spot(8.0, 0.0, 0.5), spot(8.0, 8.0, 0.5), spot(0.0, 8.0, 0.5)], &white(1.0));
+        band.draw(
+            &[spot(8.0, 0.0, 0.5), spot(8.0, 8.0, 0.5), spot(0.0, 8.0, 0.5)],
+            &white(1.0),
+            None,
+        );
         assert_eq!(lower + band.values.iter().filter(|v| v[0] == 1.0).count(), 64);
     }
 
@@ -309,7 +357,7 @@ mod tests {
         let mut band = Band::<1>::new(4);
         band.clear(0..band.side, 0.5);
         for (z, shade) in [(0.5, 0.1), (0.25, 0.2), (0.75, 0.3), (0.25, 0.4)] {
-            band.draw(&all(z), &white(shade));
+            band.draw(&all(z), &white(shade), None);
         }
         assert!(band.values.iter().all(|v| v[0] == 0.2));
     }
@@ -323,7 +371,7 @@ mod tests {
         let paint = |shade| Paint { shade, colour: [1.0] };
         let mut band = Band::<1>::new(256);
         band.clear(0..band.side, 0.0);
-        band.draw(&triangle, &[paint(0.0), paint(0.0), paint(1.0)]);
+        band.draw(&triangle, &[paint(0.0), paint(0.0), paint(1.0)], None);
         assert!((band.values[100][0] - 0.25).abs() < 1e-3, "{:?}", band.values[100]);
     }
 
