@@ -2,7 +2,8 @@
 //!
 //! Reading has three steps: a reader turns bytes into a *soup* (patches of indexed triangles with
 //! attributes, in world space), [`weld`] joins bit-equal positions into vertices and equal
-//! attribute vectors into wedges, [`report`] counts what there is.
+//! attribute vectors into wedges, [`report`] counts what there is. Images are carried as they are;
+//! those that pictures show (base colours) are decoded too ([`picture`]).
 //!
 //! Invariants:
 //! 1. whatever the bytes, a reader returns a mesh or an error that names file, place and remedy;
@@ -26,11 +27,13 @@ mod gltf;
 mod intern;
 mod limits;
 mod obj;
+mod picture;
 mod ply;
 mod report;
 mod soup;
 mod source;
 mod stl;
+mod texture_info;
 mod weld;
 mod write;
 
@@ -71,6 +74,7 @@ pub fn read(name: &str, bytes: &[u8], limits: &Limits) -> Result<Ingest, IoError
         );
     }
     let mut welded = weld::weld(&source, soup)?;
+    picture::decode_base_textures(&mut welded.mesh, limits, &mut welded.notes);
     let report = report::survey(format.name, &mut welded);
     Ok(Ingest { mesh: welded.mesh, report })
 }

@@ -9,7 +9,7 @@
 use glam::DVec3;
 
 use super::{IoError, report::Note, source::Source};
-use crate::mesh::{Material, Semantic};
+use crate::mesh::{Image, Material, Semantic, Texture};
 
 /// A primitive as placed, or all faces of a file without primitives.
 #[derive(Debug, Default)]
@@ -60,6 +60,8 @@ pub(super) fn defaults_of(semantic: Semantic) -> &'static [f32] {
 pub(super) struct Soup {
     pub(super) patches: Vec<Patch>,
     pub(super) materials: Vec<Material>,
+    pub(super) textures: Vec<Texture>,
+    pub(super) images: Vec<Image>,
     pub(super) notes: Notes,
     /// Meshes placed by nodes; 1 where the format has no nodes.
     pub(super) n_instances: u64,

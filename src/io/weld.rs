@@ -37,7 +37,7 @@ pub(super) struct Welded {
 /// [`IoError::NoTriangles`] when none is left.
 pub(super) fn weld(source: &Source<'_>, soup: Soup) -> Result<Welded, IoError> {
     let n_points_in_file = soup.n_points();
-    let Soup { mut patches, materials, mut notes, n_instances, .. } = soup;
+    let Soup { mut patches, materials, textures, images, mut notes, n_instances, .. } = soup;
     let n_triangles_in_file = patches.iter().map(|p| p.triangles.len() as u64).sum();
     let layers = choose_layers(&patches, &mut notes);
     for patch in &mut patches {
@@ -54,7 +54,7 @@ pub(super) fn weld(source: &Source<'_>, soup: Soup) -> Result<Welded, IoError> {
         }));
     }
     let n_degenerate = joiner.n_degenerate;
-    let mesh = joiner.into_mesh(materials);
+    let mesh = Mesh { textures, images, ..joiner.into_mesh(materials) };
     Ok(Welded { mesh, n_triangles_in_file, n_points_in_file, n_degenerate, n_instances, notes })
 }
 

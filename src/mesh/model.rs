@@ -151,12 +151,15 @@ pub struct Pixels {
 }
 
 /// An image and how it is sampled.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Texture {
     /// Name in the source file, may be empty.
     pub name: String,
     /// Index into [`Mesh::images`]; `None` where an extension names an image that is not read.
     pub image: Option<u32>,
+    /// The image for programs that cannot read the other one (EXT_texture_webp), not drawn.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fallback: Option<u32>,
     /// Beyond the edges, rightwards and downwards.
     pub wrap: [Wrap; 2],
     /// glTF's magnification and minification filters, which pictures ignore.

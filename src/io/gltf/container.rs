@@ -141,7 +141,7 @@ impl<'a> Buffers<'a> {
 }
 
 /// The content of a base64 data URI, padded or not.
-fn decode(uri: &str) -> Option<Vec<u8>> {
+pub(super) fn decode(uri: &str) -> Option<Vec<u8>> {
     let (_, text) = uri.split_once(";base64,")?;
     let config = GeneralPurposeConfig::new()
         .with_decode_padding_mode(DecodePaddingMode::Indifferent)

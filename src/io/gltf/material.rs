@@ -1,23 +1,35 @@
-//! Materials: colour factors and flags; textures are named in a note.
+//! Materials: base colours and flags; the rest is carried word for word and named in notes.
 
 use gltf::json::{
     material::{AlphaMode, Material as JsonMaterial},
     validation::Checked,
 };
+use serde_json::Value;
 
-use super::{Document, Soup};
-use crate::mesh::Material;
+use super::{
+    super::texture_info,
+    Document, Soup,
+    texture::{label, texture_use},
+};
+use crate::mesh::{Material, TextureUse};
 
-/// All materials in the order of the file.
-pub(super) fn read_materials(document: &Document<'_>, soup: &mut Soup) {
-    for material in &document.root.materials {
-        note_what_is_left_out(material, soup);
+const BASE_COLOR_TEXTURE: &str = "/pbrMetallicRoughness/baseColorTexture";
+const DIFFUSE_FACTOR: &str = "/extensions/KHR_materials_pbrSpecularGlossiness/diffuseFactor";
+const DIFFUSE_TEXTURE: &str = "/extensions/KHR_materials_pbrSpecularGlossiness/diffuseTexture";
+
+/// All materials in the order of the file; `verbatim` is their JSON.
+pub(super) fn read_materials(document: &Document<'_>, verbatim: Vec<Value>, soup: &mut Soup) {
+    for (i, (material, source)) in document.root.materials.iter().zip(verbatim).enumerate() {
+        let name = material.name.clone().unwrap_or_default();
+        let base_texture = in_range(base_texture(&source), &label("material", i, &name), soup);
+        note_what_is_left_out(material, &source, soup);
         soup.materials.push(Material {
-            name: material.name.clone().unwrap_or_default(),
-            base_color: material.pbr_metallic_roughness.base_color_factor.0.map(finite_or_one),
+            name,
+            base_color: base_color(material, &source),
+            base_texture,
             double_sided: material.double_sided,
             unlit: material.extensions.as_ref().is_some_and(|e| e.unlit.is_some()),
-            ..Material::default()
+            source: Some(source),
         });
     }
 }
@@ -35,22 +47,53 @@ pub(super) fn default_material(document: &Document<'_>, soup: &mut Soup) -> u32 
     n_own as u32
 }
 
+fn base_texture(source: &Value) -> Option<TextureUse> {
+    let paths = [BASE_COLOR_TEXTURE, DIFFUSE_TEXTURE];
+    paths.iter().find_map(|path| source.pointer(path).and_then(texture_use))
+}
+
+/// The diffuse factor belongs to the diffuse texture, and stands in where nothing else is said.
+fn base_color(material: &JsonMaterial, source: &Value) -> [f32; 4] {
+    let has_other = match source.pointer(DIFFUSE_TEXTURE) {
+        Some(_) => source.pointer(BASE_COLOR_TEXTURE).is_some(),
+        None => source.get("pbrMetallicRoughness").is_some(),
+    };
+    match source.pointer(DIFFUSE_FACTOR).and_then(Value::as_array) {
+        Some(factor) if !has_other => [0, 1, 2, 3].map(|i| {
+            let value = factor.get(i).and_then(Value::as_f64).unwrap_or(1.0);
+            finite_or_one(value as f32)
+        }),
+        _ => material.pbr_metallic_roughness.base_color_factor.0.map(finite_or_one),
+    }
+}
+
 fn finite_or_one(factor: f32) -> f32 {
     if factor.is_finite() { factor } else { 1.0 }
 }
 
-fn note_what_is_left_out(material: &JsonMaterial, soup: &mut Soup) {
-    let pbr = &material.pbr_metallic_roughness;
-    let has_texture = pbr.base_color_texture.is_some()
-        || pbr.metallic_roughness_texture.is_some()
-        || material.normal_texture.is_some()
-        || material.occlusion_texture.is_some()
-        || material.emissive_texture.is_some();
-    if has_texture {
-        let text = "textures are not carried: materials keep their colour factors";
-        soup.notes.add("textures_ignored", text);
+fn in_range(found: Option<TextureUse>, label: &str, soup: &mut Soup) -> Option<TextureUse> {
+    let (found, n) = (found?, soup.textures.len());
+    if (found.texture as usize) < n {
+        return Some(found);
+    }
+    let text = format!(
+        "{label} names texture {}, but there are {n}: it is drawn in its factor alone; export the \
+         model again",
+        found.texture
+    );
+    soup.notes.add("texture_reference_broken", text);
+    None
+}
+
+fn note_what_is_left_out(material: &JsonMaterial, source: &Value, soup: &mut Soup) {
+    let has_base = base_texture(source).is_some();
+    if texture_info::count(source) > usize::from(has_base) {
+        let text = "pictures show base colours: normal, metallic-roughness, occlusion, emissive \
+                    and other textures are carried, not evaluated";
+        soup.notes.add("textures_not_evaluated", text);
     }
     if !matches!(material.alpha_mode, Checked::Valid(AlphaMode::Opaque)) {
-        soup.notes.add("alpha_ignored", "alpha masks and blending are ignored: all is opaque");
+        let text = "alpha masks and blending are carried, but pictures show all opaque";
+        soup.notes.add("alpha_ignored", text);
     }
 }

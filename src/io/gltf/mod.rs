@@ -3,7 +3,8 @@
 //! Every node that holds a mesh places it once, with the product of the transforms from the root.
 //! A transform that mirrors turns the triangles round, so that they stay counter-clockwise seen
 //! from outside. Skins, morph targets, animations, cameras and lights are left out with a note.
-//! Textures are not carried yet: materials keep their colour factors.
+//! Materials, textures and images keep their order, so that materials can be carried word for
+//! word; of what they say, base colours are evaluated.
 //!
 //! The JSON is read by the schema of the `gltf` crate without its validation (which panics on
 //! some dangling indices); every index is looked up with a check instead.
@@ -13,8 +14,11 @@ mod container;
 mod material;
 mod primitive;
 mod scene;
+mod texture;
 
 use gltf::json;
+use serde::Deserialize;
+use serde_json::Value;
 
 use super::{IoError, soup::Soup, source::Source};
 use container::Buffers;
@@ -40,18 +44,33 @@ struct Document<'a> {
     buffers: Buffers<'a>,
 }
 
+/// What the schema drops: materials are kept word for word, textures have extensions.
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct Verbatim {
+    materials: Vec<Value>,
+    textures: Vec<Value>,
+}
+
 fn read_document(source: &Source<'_>, json: &[u8], bin: Option<&[u8]>) -> Result<Soup, IoError> {
     let n_objects = json.split(|b| *b == b'{').count() as u64 - 1;
     source.check_limit("JSON", "objects", n_objects, source.limits.max_json_objects)?;
-    let root: json::Root = json::deserialize::from_slice(json).map_err(|error| {
+    let is_value = |b: &&u8| matches!(b, b',' | b'[' | b'{');
+    let n_values = json.iter().filter(is_value).count() as u64;
+    source.check_limit("JSON", "values", n_values, source.limits.max_json_values)?;
+    let malformed = |error: json::Error| {
         let place = format!("JSON, line {} column {}", error.line(), error.column());
         source.malformed(place, error.to_string(), REMEDY)
-    })?;
+    };
+    let root: json::Root = json::deserialize::from_slice(json).map_err(malformed)?;
+    let verbatim: Verbatim = json::deserialize::from_slice(json).map_err(malformed)?;
     let mut soup = Soup::default();
     check_extensions(source, &root)?;
     let buffers = Buffers::load(source, &root, bin)?;
     let document = Document { source, root, buffers };
-    material::read_materials(&document, &mut soup);
+    texture::read_images(&document, &mut soup);
+    texture::read_textures(&document, &verbatim.textures, &mut soup);
+    material::read_materials(&document, verbatim.materials, &mut soup);
     for placement in scene::placements(&document)? {
         primitive::read_mesh(&document, &mut soup, &placement)?;
     }
@@ -63,8 +82,13 @@ fn read_document(source: &Source<'_>, json: &[u8], bin: Option<&[u8]>) -> Result
 }
 
 /// Required extensions that change nothing here, or that are read.
-const HARMLESS: [&str; 4] =
-    ["KHR_mesh_quantization", "KHR_texture_transform", "KHR_lights_punctual", "KHR_xmp_json_ld"];
+const HARMLESS: [&str; 5] = [
+    "KHR_mesh_quantization",
+    "KHR_texture_transform",
+    "KHR_lights_punctual",
+    "KHR_xmp_json_ld",
+    "EXT_texture_webp",
+];
 
 /// Required extensions that are known, with what to do about them.
 const REFUSED: [(&str, &str); 5] = [
@@ -111,8 +135,9 @@ fn note_what_is_left_out(root: &json::Root, soup: &mut Soup) {
         ("EXT_mesh_gpu_instancing", "instancing_ignored", "each node is placed once"),
         (
             "KHR_materials_pbrSpecularGlossiness",
-            "specular_glossiness_ignored",
-            "its colours are not read, those of the fallback material are",
+            "specular_glossiness_not_evaluated",
+            "its diffuse colour is drawn where a material has no base colour texture; the rest is \
+             carried, not evaluated",
         ),
     ];
     for (extension, code, text) in used {

@@ -5,8 +5,13 @@ mod formats;
 mod gltf_scenes;
 mod models;
 mod mutations;
+mod pictures;
 mod round_trip;
+mod textures;
 
+use std::io::Cursor;
+
+use image::{ImageFormat, Rgb, RgbImage};
 use serde_json::{Value, json};
 
 use super::{Ingest, IoError, Limits, read};
@@ -102,6 +107,41 @@ fn square_json() -> Value {
         ],
         "buffers": [{ "byteLength": 60 }],
     })
+}
+
+/// The square with texture coordinates and a texture for each of the images; material 0 shows
+/// the first. `edit` has the last word.
+fn textured_glb(images: &[Vec<u8>], edit: impl FnOnce(&mut Value)) -> Vec<u8> {
+    let (mut json, mut bin) = (square_json(), square_bin());
+    let coordinates = bytes_of(&[0., 0., 1., 0., 0., 1., 1., 1.]);
+    for bytes in [&coordinates].into_iter().chain(images) {
+        let view = json!({ "buffer": 0, "byteOffset": bin.len(), "byteLength": bytes.len() });
+        json["bufferViews"].as_array_mut().unwrap().push(view);
+        bin.extend(bytes);
+        bin.resize(bin.len().next_multiple_of(4), 0);
+    }
+    json["buffers"][0]["byteLength"] = bin.len().into();
+    let accessor = json!({ "bufferView": 2, "componentType": 5126, "count": 4, "type": "VEC2" });
+    json["accessors"].as_array_mut().unwrap().push(accessor);
+    let primitive = &mut json["meshes"][0]["primitives"][0];
+    primitive["attributes"]["TEXCOORD_0"] = 2.into();
+    primitive["material"] = 0.into();
+    json["images"] = (0..images.len()).map(|i| json!({ "bufferView": 3 + i })).collect();
+    json["textures"] = (0..images.len()).map(|i| json!({ "source": i })).collect();
+    json["materials"] = json!([{ "pbrMetallicRoughness": { "baseColorTexture": { "index": 0 } } }]);
+    edit(&mut json);
+    glb(&json, &bin)
+}
+
+/// A picture of one colour.
+fn encoded(format: ImageFormat, [width, height]: [u32; 2], rgb: [u8; 3]) -> Vec<u8> {
+    let mut bytes = Cursor::new(Vec::new());
+    RgbImage::from_pixel(width, height, Rgb(rgb)).write_to(&mut bytes, format).unwrap();
+    bytes.into_inner()
+}
+
+fn png() -> Vec<u8> {
+    encoded(ImageFormat::Png, [3, 2], [200, 100, 50])
 }
 
 fn square_glb() -> Vec<u8> {

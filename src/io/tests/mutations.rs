@@ -20,8 +20,18 @@ fn seeds() -> Vec<(&'static str, Vec<u8>)> {
     stl.extend([0, 0]);
     let text = "solid s\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\n\
                 vertex 0 1 0\nendloop\nendfacet\nendsolid s\n";
+    let textured = textured_glb(&[png(), encoded(ImageFormat::Jpeg, [8, 8], [1; 3])], |json| {
+        json["samplers"] = json!([{ "wrapS": 33071, "minFilter": 9987 }]);
+        json["textures"][1] = json!({ "sampler": 0, "source": 0,
+            "extensions": { "EXT_texture_webp": { "source": 1 } } });
+        json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["index"] = 1.into();
+        json["materials"][0]["normalTexture"] = json!({ "index": 0, "texCoord": 0 });
+    });
+    let textured_again = write_glb(&load("a.glb", &textured).unwrap().mesh).unwrap();
     vec![
         ("a.glb", square_glb()),
+        ("a.glb", textured),
+        ("a.glb", textured_again),
         ("a.glb", write_glb(&mesh).unwrap()),
         ("a.gltf", square_json().to_string().into_bytes()),
         ("a.ply", write_ply(&mesh, PlyPositions::Double).unwrap()),
@@ -65,7 +75,15 @@ proptest! {
         for (kind, at, value) in edits {
             mutate(&mut bytes, kind, at, value);
         }
-        let _ = load(name, &bytes);
+        if let Ok(ingest) = load(name, &bytes) {
+            // What was read can be written, and what was written can be read.
+            if let Ok(bytes) = write_glb(&ingest.mesh) {
+                let again = load("a.glb", &bytes).map(|again| again.mesh.images.len());
+                let images = ingest.mesh.images.iter().filter(|image| !image.bytes.is_empty());
+                let n = if ingest.mesh.materials.is_empty() { 0 } else { images.count() };
+                prop_assert_eq!(again, Ok(n));
+            }
+        }
     }
 
     #[test]

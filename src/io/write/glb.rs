@@ -2,17 +2,17 @@
 //!
 //! One primitive per material that faces use, in the order of materials; within it the faces keep
 //! their order. Each accessor has a buffer view of its own, in the order indices, positions,
-//! attributes. What glTF demands is put right on the way: normals and tangents are brought to
-//! length 1, colours into 0..=1, texture-coordinate and colour sets are numbered without gaps.
-//! Custom layers of up to four values are written as `_CUSTOM_n`.
+//! attributes; images follow (`appearance`). What glTF demands is put right on the way: normals and
+//! tangents are brought to length 1, colours into 0..=1, texture-coordinate and colour sets are
+//! numbered without gaps. Custom layers of up to four values are written as `_CUSTOM_n`.
 
 use glam::{DVec3, Vec3};
 use serde_json::{Value, json};
 
-use super::{IoError, check, points::Points};
+use super::{IoError, appearance::Appearance, check, points::Points};
 use crate::{
     io::weld::{area_normals, unit_or_z},
-    mesh::{AttributeLayer, FaceId, Material, Mesh, Semantic},
+    mesh::{AttributeLayer, FaceId, Mesh, Semantic},
 };
 
 const ARRAY_BUFFER: u32 = 34_962;
@@ -38,7 +38,8 @@ pub fn write_glb(mesh: &Mesh) -> Result<Vec<u8>, IoError> {
     let used = faces_of_material.iter().enumerate().filter(|(_, faces)| !faces.is_empty());
     let primitives: Vec<Value> =
         used.map(|(material, faces)| file.primitive(mesh, material, faces)).collect();
-    let document = file.document(&primitives, &mesh.materials);
+    let appearance = Appearance::of(mesh, &mut |bytes| file.view(bytes, None));
+    let document = file.document(&primitives, appearance);
     pack(document.to_string().into_bytes(), &file.bin)
 }
 
@@ -86,7 +87,7 @@ impl Builder {
             (UNSIGNED_INT, flat.flat_map(|i| i.to_le_bytes()).collect())
         };
         let accessor = json!({
-            "bufferView": self.view(&bytes, ELEMENT_ARRAY_BUFFER),
+            "bufferView": self.view(&bytes, Some(ELEMENT_ARRAY_BUFFER)),
             "componentType": component,
             "count": points.triangles.len() * 3,
             "type": "SCALAR",
@@ -101,7 +102,7 @@ impl Builder {
             positions.iter().fold((first, first), |(lo, hi), p| (lo.min(*p), hi.max(*p)));
         let values: Vec<f32> = positions.iter().flat_map(Vec3::to_array).collect();
         let accessor = json!({
-            "bufferView": self.view(bytemuck::cast_slice(&values), ARRAY_BUFFER),
+            "bufferView": self.view(bytemuck::cast_slice(&values), Some(ARRAY_BUFFER)),
             "componentType": FLOAT,
             "count": points.len(),
             "type": "VEC3",
@@ -115,7 +116,7 @@ impl Builder {
     fn attribute(&mut self, values: &[f32], width: usize, count: usize) -> Option<usize> {
         let kind = ["SCALAR", "VEC2", "VEC3", "VEC4"].get(width.checked_sub(1)?)?;
         let accessor = json!({
-            "bufferView": self.view(bytemuck::cast_slice(values), ARRAY_BUFFER),
+            "bufferView": self.view(bytemuck::cast_slice(values), Some(ARRAY_BUFFER)),
             "componentType": FLOAT,
             "count": count,
             "type": kind,
@@ -123,17 +124,17 @@ impl Builder {
         Some(self.push_accessor(accessor))
     }
 
-    fn view(&mut self, bytes: &[u8], target: u32) -> usize {
+    /// Images have no target.
+    fn view(&mut self, bytes: &[u8], target: Option<u32>) -> usize {
         let offset = self.bin.len();
         self.bin.extend_from_slice(bytes);
         // Views begin at multiples of four; the padding belongs to no view.
         self.bin.resize(self.bin.len().next_multiple_of(4), 0);
-        self.views.push(json!({
-            "buffer": 0,
-            "byteOffset": offset,
-            "byteLength": bytes.len(),
-            "target": target,
-        }));
+        let mut view = json!({ "buffer": 0, "byteOffset": offset, "byteLength": bytes.len() });
+        if let Some(target) = target {
+            view["target"] = target.into();
+        }
+        self.views.push(view);
         self.views.len() - 1
     }
 
@@ -142,7 +143,7 @@ impl Builder {
         self.accessors.len() - 1
     }
 
-    fn document(&self, primitives: &[Value], materials: &[Material]) -> Value {
+    fn document(&self, primitives: &[Value], appearance: Appearance) -> Value {
         let generator = concat!("Lookalike ", env!("CARGO_PKG_VERSION"));
         let mut document = json!({
             "asset": { "version": "2.0", "generator": generator },
@@ -154,33 +155,9 @@ impl Builder {
             "bufferViews": self.views,
             "buffers": [{ "byteLength": self.bin.len() }],
         });
-        if !materials.is_empty() {
-            document["materials"] = materials.iter().map(material_json).collect();
-        }
-        if materials.iter().any(|m| m.unlit) {
-            document["extensionsUsed"] = json!(["KHR_materials_unlit"]);
-        }
+        appearance.put_into(&mut document);
         document
     }
-}
-
-fn material_json(material: &Material) -> Value {
-    let mut value = json!({
-        "pbrMetallicRoughness": {
-            "baseColorFactor": material.base_color.map(|c| c.clamp(0.0, 1.0)),
-            "metallicFactor": 0.0,
-        },
-    });
-    if !material.name.is_empty() {
-        value["name"] = material.name.as_str().into();
-    }
-    if material.double_sided {
-        value["doubleSided"] = true.into();
-    }
-    if material.unlit {
-        value["extensions"] = json!({ "KHR_materials_unlit": {} });
-    }
-    value
 }
 
 /// Layers in ascending order of their sets, so that numbering without gaps keeps the order.

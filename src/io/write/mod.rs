@@ -4,6 +4,7 @@
 //! of the file, in the order of wedges and vertices, and the reader joins them again. Positions
 //! are rounded to single precision (PLY can keep double).
 
+mod appearance;
 mod glb;
 mod obj;
 mod ply;

@@ -1,0 +1,225 @@
+//! Textures, samplers and images, under the indices that they have in the file.
+//!
+//! What cannot be had (files beside this one, broken references) is left empty with a note:
+//! geometry is worth reading without it. Nothing is fetched.
+
+use std::{collections::HashMap, sync::Arc};
+
+use gltf::json::{
+    image::Image as JsonImage,
+    texture::{MagFilter, MinFilter, Sampler, WrappingMode},
+    validation::Checked,
+};
+use serde_json::Value;
+
+use super::{super::picture::mime_of, Document, Soup, container::decode};
+use crate::mesh::{Image, Texture, TextureUse, Wrap};
+
+/// The schema's mark of a texture without a source.
+const NO_SOURCE: usize = u32::MAX as usize;
+
+/// All images in the order of the file.
+pub(super) fn read_images(document: &Document<'_>, soup: &mut Soup) {
+    let mut store = Store {
+        document,
+        views: HashMap::new(),
+        // Images that overlap could take more than the file has.
+        n_left: document.source.bytes.len(),
+    };
+    for (i, image) in document.root.images.iter().enumerate() {
+        let name = image.name.clone().unwrap_or_default();
+        let bytes = store.bytes_of(image, i).unwrap_or_else(|reason| {
+            let label = label("image", i, &name);
+            let text = format!("{label} is left out: {reason}; pack the model as GLB");
+            soup.notes.add("image_missing", text);
+            Arc::default()
+        });
+        let stated = image.mime_type.as_ref().map(|mime| mime.0.clone());
+        let mime = stated.or_else(|| mime_of(&bytes).map(str::to_owned)).unwrap_or_default();
+        soup.images.push(Image { name, mime, bytes, pixels: None });
+    }
+}
+
+/// The bytes of images, those of a buffer view once.
+struct Store<'d> {
+    document: &'d Document<'d>,
+    views: HashMap<usize, Arc<[u8]>>,
+    n_left: usize,
+}
+
+impl Store<'_> {
+    fn bytes_of(&mut self, image: &JsonImage, index: usize) -> Result<Arc<[u8]>, String> {
+        let bytes = match (image.buffer_view, &image.uri) {
+            (Some(view), _) => self.view(view.value(), index)?,
+            (None, Some(uri)) if uri.starts_with("data:") => {
+                decode(uri).map(Arc::from).ok_or("its base64 text is bad")?
+            }
+            (None, Some(uri)) => {
+                let shown: String = uri.chars().take(80).collect();
+                return Err(format!("it is in another file, '{shown}'"));
+            }
+            (None, None) => Arc::default(),
+        };
+        if bytes.is_empty() { Err("it has no bytes".to_owned()) } else { Ok(bytes) }
+    }
+
+    fn view(&mut self, view: usize, image: usize) -> Result<Arc<[u8]>, String> {
+        if let Some(bytes) = self.views.get(&view) {
+            return Ok(bytes.clone());
+        }
+        let Document { source, root, buffers } = self.document;
+        let bytes = buffers
+            .view(source, root, view, &format!("image {image}"))
+            .map_err(|_| format!("its bytes (buffer view {view}) are not in the file"))?;
+        self.n_left = self
+            .n_left
+            .checked_sub(bytes.len())
+            .ok_or("it overlaps other images, which together are larger than the file")?;
+        let bytes: Arc<[u8]> = bytes.into();
+        self.views.insert(view, bytes.clone());
+        Ok(bytes)
+    }
+}
+
+/// All textures in the order of the file; `verbatim` has their extensions.
+pub(super) fn read_textures(document: &Document<'_>, verbatim: &[Value], soup: &mut Soup) {
+    for (i, texture) in document.root.textures.iter().enumerate() {
+        let name = texture.name.clone().unwrap_or_default();
+        let label = label("texture", i, &name);
+        let extension = |name: &str| {
+            let source = verbatim.get(i)?.get("extensions")?.get(name)?.get("source")?;
+            source.as_u64().map(|source| source as usize)
+        };
+        let source = Some(texture.source.value()).filter(|source| *source != NO_SOURCE);
+        let source = in_range(source, document.root.images.len(), &label, "image", soup);
+        let webp = extension("EXT_texture_webp");
+        let webp = in_range(webp, document.root.images.len(), &label, "image", soup);
+        if source.or(webp).is_none() && extension("KHR_texture_basisu").is_some() {
+            let text = "KHR_texture_basisu: KTX2 images are not decoded, materials are drawn in \
+                        their factors alone; save the model with PNG, JPEG or WebP textures";
+            soup.notes.add("texture_not_decoded", text);
+        }
+        let sampler = texture.sampler.map(|sampler| sampler.value());
+        let sampler = in_range(sampler, document.root.samplers.len(), &label, "sampler", soup);
+        let (wrap, filters) =
+            sampler.map(|s| sampling(&document.root.samplers[s])).unwrap_or_default();
+        soup.textures.push(Texture {
+            name,
+            image: webp.or(source).map(|i| i as u32),
+            fallback: webp.and(source).map(|i| i as u32),
+            wrap,
+            filters,
+        });
+    }
+}
+
+/// The index, unless it is out of range, which is noted.
+fn in_range(
+    index: Option<usize>,
+    n: usize,
+    label: &str,
+    what: &str,
+    soup: &mut Soup,
+) -> Option<usize> {
+    let index = index?;
+    if index < n {
+        return Some(index);
+    }
+    let text = format!(
+        "{label} names {what} {index}, but there are {n}: it is read without; export the model again"
+    );
+    soup.notes.add("texture_reference_broken", text);
+    None
+}
+
+fn sampling(sampler: &Sampler) -> ([Wrap; 2], [Option<u32>; 2]) {
+    let wrap = |mode: Checked<WrappingMode>| match mode {
+        Checked::Valid(WrappingMode::ClampToEdge) => Wrap::Clamp,
+        Checked::Valid(WrappingMode::MirroredRepeat) => Wrap::Mirror,
+        _ => Wrap::Repeat,
+    };
+    let mag = match sampler.mag_filter {
+        Some(Checked::Valid(filter)) => Some(MagFilter::as_gl_enum(&filter)),
+        _ => None,
+    };
+    let min = match sampler.min_filter {
+        Some(Checked::Valid(filter)) => Some(MinFilter::as_gl_enum(&filter)),
+        _ => None,
+    };
+    ([wrap(sampler.wrap_s), wrap(sampler.wrap_t)], [mag, min])
+}
+
+/// What messages call a thing.
+pub(super) fn label(what: &str, index: usize, name: &str) -> String {
+    let shown: String = name.chars().take(64).collect();
+    if shown.is_empty() { format!("{what} {index}") } else { format!("{what} {index} '{shown}'") }
+}
+
+/// What a textureInfo says, KHR_texture_transform included; `None` without a texture.
+pub(super) fn texture_use(info: &Value) -> Option<TextureUse> {
+    let id = |value: &Value| value.as_u64().and_then(|id| u32::try_from(id).ok());
+    let texture = id(info.get("index")?)?;
+    let tex_coord = info.get("texCoord").and_then(id).unwrap_or(0);
+    let Some(transform) = info.get("extensions").and_then(|e| e.get("KHR_texture_transform"))
+    else {
+        return Some(TextureUse { texture, tex_coord, transform: TextureUse::IDENTITY });
+    };
+    let tex_coord = transform.get("texCoord").and_then(id).unwrap_or(tex_coord);
+    Some(TextureUse { texture, tex_coord, transform: affine(transform) })
+}
+
+/// Translation × rotation × scale. The rotation is counter-clockwise where v points down, as
+/// programs do it; the listing in the extension's text has the other sign
+/// (github.com/KhronosGroup/glTF/issues/1563).
+fn affine(transform: &Value) -> [[f32; 3]; 2] {
+    let number = |value: Option<&Value>, default| value.and_then(Value::as_f64).unwrap_or(default);
+    let pair = |key: &str, default| {
+        [0, 1].map(|i| number(transform.get(key).and_then(|pair| pair.get(i)), default))
+    };
+    let ([x, y], [sx, sy]) = (pair("offset", 0.0), pair("scale", 1.0));
+    let (sin, cos) = libm::sincos(number(transform.get("rotation"), 0.0));
+    let rows = [[cos * sx, sin * sy, x], [-sin * sx, cos * sy, y]];
+    let rows = rows.map(|row| row.map(|value| value as f32 + 0.0));
+    if rows.as_flattened().iter().all(|v| v.is_finite()) { rows } else { TextureUse::IDENTITY }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn transforms_scale_then_turn_then_shift() {
+        let quarter = std::f64::consts::FRAC_PI_2;
+        for (transform, expected) in [
+            (json!({}), TextureUse::IDENTITY),
+            (json!({ "offset": [0.5, -1], "scale": [2, 3] }), [[2., 0., 0.5], [0., 3., -1.]]),
+            (json!({ "rotation": quarter }), [[0., 1., 0.], [-1., 0., 0.]]),
+            (
+                json!({ "rotation": quarter, "scale": [2, 3], "offset": [4, 5] }),
+                [[0., 3., 4.], [-2., 0., 5.]],
+            ),
+            (json!({ "scale": [1e300, 1] }), TextureUse::IDENTITY),
+        ] {
+            let found = affine(&transform);
+            let pairs = found.as_flattened().iter().zip(expected.as_flattened());
+            assert!(pairs.clone().all(|(a, b)| (a - b).abs() < 1e-6), "{transform}: {found:?}");
+        }
+    }
+
+    #[test]
+    fn the_transform_may_name_another_set() {
+        let info =
+            |extensions: Value| json!({ "index": 3, "texCoord": 1, "extensions": extensions });
+        for (extensions, expected) in [
+            (json!({}), 1),
+            (json!({ "KHR_texture_transform": {} }), 1),
+            (json!({ "KHR_texture_transform": { "texCoord": 2 } }), 2),
+        ] {
+            let found = texture_use(&info(extensions)).unwrap();
+            assert_eq!((found.texture, found.tex_coord), (3, expected));
+        }
+        assert_eq!(texture_use(&json!({ "index": -1 })), None);
+    }
+}

@@ -1,0 +1,149 @@
+//! Decoding of the images that pictures show: those of base textures.
+//!
+//! The content says what an image is, not its media type. Dimensions are held against the limits
+//! before anything is decoded. An image that cannot be decoded is noted; its bytes stay.
+
+use std::{collections::BTreeSet, io::Cursor, panic::catch_unwind, sync::Arc};
+
+use image::{ImageFormat, ImageReader};
+use rayon::prelude::*;
+
+use super::{Limits, soup::Notes};
+use crate::mesh::{Image, Mesh, Pixels};
+
+/// What is decoded.
+const FORMATS: [ImageFormat; 3] = [ImageFormat::Png, ImageFormat::Jpeg, ImageFormat::WebP];
+/// Larger images are halved until they are not: pictures have fewer pixels by far.
+const MAX_DRAWN_SIDE: u32 = 4096;
+/// What a decoder may allocate for a pixel: four channels of 16 bits, and half as much to work.
+const BYTES_PER_PIXEL: u64 = 12;
+
+/// The media type that the content shows.
+pub(super) fn mime_of(bytes: &[u8]) -> Option<&'static str> {
+    image::guess_format(bytes).ok().map(|format| format.to_mime_type())
+}
+
+/// Decodes the images of the materials' base textures.
+pub(super) fn decode_base_textures(mesh: &mut Mesh, limits: &Limits, notes: &mut Notes) {
+    let uses = mesh.materials.iter().filter_map(|m| m.base_texture);
+    let textures = uses.filter_map(|u| mesh.textures.get(u.texture as usize));
+    let is_there = |i: &usize| mesh.images.get(*i).is_some_and(|image| !image.bytes.is_empty());
+    let used: BTreeSet<usize> =
+        textures.filter_map(|t| t.image.map(|i| i as usize)).filter(is_there).collect();
+    let mut n_pixels = 0;
+    let checked: Vec<(usize, Result<(), String>)> = used
+        .into_iter()
+        .map(|i| (i, check_size(&mesh.images[i].bytes, limits, &mut n_pixels)))
+        .collect();
+    let decoded: Vec<(usize, Result<Pixels, String>)> = checked
+        .into_par_iter()
+        .map(|(i, checked)| (i, checked.and_then(|()| decode(&mesh.images[i].bytes, limits))))
+        .collect();
+    for (i, pixels) in decoded {
+        match pixels {
+            Ok(pixels) => mesh.images[i].pixels = Some(Arc::new(pixels)),
+            Err(reason) => note_unreadable(i, &mesh.images[i], &reason, limits, notes),
+        }
+    }
+}
+
+fn note_unreadable(index: usize, image: &Image, reason: &str, limits: &Limits, notes: &mut Notes) {
+    let name: String = image.name.chars().take(64).collect();
+    let reason: String = reason.chars().take(160).collect();
+    let text = format!(
+        "image {index} '{name}' cannot be decoded ({reason}): materials that use it are drawn in \
+         their factors alone; save it as PNG, JPEG or WebP of at most {} pixels a side",
+        limits.max_image_side
+    );
+    notes.add("image_unreadable", text);
+}
+
+fn reader<'a>(bytes: &'a [u8], limits: &Limits) -> Result<ImageReader<Cursor<&'a [u8]>>, String> {
+    let format = image::guess_format(bytes).map_err(|e| e.to_string())?;
+    if !FORMATS.contains(&format) {
+        return Err(format!("{} is not decoded", format.to_mime_type()));
+    }
+    let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
+    let mut of_decoder = image::Limits::default();
+    of_decoder.max_image_width = Some(limits.max_image_side);
+    of_decoder.max_image_height = Some(limits.max_image_side);
+    of_decoder.max_alloc = Some(limits.max_image_pixels.saturating_mul(BYTES_PER_PIXEL));
+    reader.limits(of_decoder);
+    Ok(reader)
+}
+
+/// Holds the dimensions in the image's header against the limits; `n_pixels` counts those of all.
+fn check_size(bytes: &[u8], limits: &Limits, n_pixels: &mut u64) -> Result<(), String> {
+    let reader = reader(bytes, limits)?;
+    let (width, height) = guarded(move || reader.into_dimensions())?;
+    let own = u64::from(width) * u64::from(height);
+    let rules = [
+        (width.max(height).into(), limits.max_image_side.into(), "pixels a side"),
+        (own, limits.max_image_pixels, "pixels"),
+        (n_pixels.saturating_add(own), limits.max_all_image_pixels, "pixels of all images"),
+    ];
+    for (count, limit, what) in rules {
+        if count > limit {
+            return Err(format!("{count} {what} are over the limit of {limit}"));
+        }
+    }
+    *n_pixels += own;
+    Ok(())
+}
+
+/// Eight bits a channel, no side over [`MAX_DRAWN_SIDE`].
+fn decode(bytes: &[u8], limits: &Limits) -> Result<Pixels, String> {
+    let reader = reader(bytes, limits)?;
+    let image = guarded(move || reader.decode())?.into_rgba8();
+    let (width, height) = image.dimensions();
+    let mut pixels = Pixels { width, height, rgba: image.into_raw() };
+    while pixels.width.max(pixels.height) > MAX_DRAWN_SIDE {
+        pixels = halved(&pixels);
+    }
+    Ok(pixels)
+}
+
+/// A decoder that panics cannot decode: arithmetic is checked here, which its authors need not
+/// have tried.
+fn guarded<T>(
+    decode: impl FnOnce() -> image::ImageResult<T> + std::panic::UnwindSafe,
+) -> Result<T, String> {
+    match catch_unwind(decode) {
+        Ok(result) => result.map_err(|error| error.to_string()),
+        Err(_) => Err("the decoder failed".to_owned()),
+    }
+}
+
+/// Half as large (rounded up): each pixel is the mean of two by two, of encoded values.
+fn halved(from: &Pixels) -> Pixels {
+    let (width, height) = (from.width.div_ceil(2), from.height.div_ceil(2));
+    let row_bytes = from.width as usize * 4;
+    let mut rgba = vec![0; width as usize * height as usize * 4];
+    rgba.par_chunks_exact_mut(width as usize * 4).enumerate().for_each(|(y, row)| {
+        let rows = [2 * y, (2 * y + 1).min(from.height as usize - 1)]
+            .map(|y| &from.rgba[y * row_bytes..][..row_bytes]);
+        for (x, pixel) in row.as_chunks_mut::<4>().0.iter_mut().enumerate() {
+            let columns = [2 * x, (2 * x + 1).min(from.width as usize - 1)];
+            for (channel, value) in pixel.iter_mut().enumerate() {
+                let at = |row: &[u8], x: usize| u32::from(row[x * 4 + channel]);
+                let sum: u32 = rows.iter().flat_map(|row| columns.map(|x| at(row, x))).sum();
+                *value = ((sum + 2) / 4) as u8;
+            }
+        }
+    });
+    Pixels { width, height, rgba }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn halves_round_up_and_average() {
+        let gray = |values: &[u8]| values.iter().flat_map(|v| [*v; 4]).collect();
+        let from = Pixels { width: 3, height: 2, rgba: gray(&[0, 1, 10, 2, 3, 20]) };
+        let expected = Pixels { width: 2, height: 1, rgba: gray(&[2, 15]) };
+        assert_eq!(halved(&from), expected);
+        assert_eq!(halved(&expected).rgba, gray(&[9]));
+    }
+}
