@@ -6,27 +6,32 @@
 //! u32       length of the header
 //! header    JSON, UTF-8: the struct Header
 //! u32       CRC-32 of all bytes before
-//! body      sections: the coarsest mesh, blocks of records from coarse to fine, blocks of edits
-//!           level by level
+//! body      images; sections: the coarsest mesh, blocks of records from coarse to fine, blocks of
+//!           edits level by level
 //! ```
 //!
 //! Integers are little endian. JSON, so that any program can list levels; the tables of blocks
 //! say which parts of the body a level needs. Version 1 had no edits of levels, only a flag
-//! `by_records_alone`.
+//! `by_records_alone`. Textures, images and what materials say of them came within version 2: the
+//! fields are optional, and a reader that does not know them finds the levels without.
 
 use serde::{Deserialize, Serialize};
+use serde_json::json;
 
 use super::{
     error::ProgressiveError,
+    images::{Blob, ImageEntry},
     reader::{ReadLimits, check_limit},
     replay::Replay,
     section::{IS_FUZZING, Section},
 };
-use crate::mesh::{Material, Semantic};
+use crate::mesh::{Material, Mesh, Semantic, Texture, TextureUse};
 
 const MAGIC: [u8; 8] = *b"\x89LKPM\r\n\x1a";
 const VERSION: u32 = 2;
 const MAX_HEADER_BYTES: u64 = 64 << 20;
+/// What materials and textures may take of it.
+const MAX_APPEARANCE_BYTES: usize = 32 << 20;
 
 /// The header of a file. Counts without "base" are those of the original mesh.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -47,6 +52,15 @@ pub struct Header {
     pub layers: Vec<Layer>,
     /// Materials.
     pub(super) materials: Vec<MaterialEntry>,
+    /// What materials refer to.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) textures: Vec<Texture>,
+    /// What textures refer to.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) images: Vec<ImageEntry>,
+    /// The bytes of images.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) blobs: Vec<Blob>,
     /// Levels with names, fine to coarse.
     pub levels: Vec<Level>,
     /// Collapses.
@@ -141,16 +155,24 @@ pub(super) struct MaterialEntry {
     base_color: [f64; 4],
     double_sided: bool,
     unlit: bool,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    base_texture: Option<TextureUse>,
+    /// The glTF material, word for word.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    source: Option<serde_json::Value>,
 }
 
 impl MaterialEntry {
-    /// `None` for a colour that is not finite, which JSON cannot hold.
-    pub(super) fn of(material: &Material) -> Option<Self> {
-        material.base_color.iter().all(|c| c.is_finite()).then(|| Self {
+    /// `None` for numbers that are not finite, which JSON cannot hold.
+    fn of(material: &Material) -> Option<Self> {
+        let transform = material.base_texture.iter().flat_map(|t| t.transform.as_flattened());
+        material.base_color.iter().chain(transform).all(|c| c.is_finite()).then(|| Self {
             name: material.name.clone(),
             base_color: material.base_color.map(f64::from),
             double_sided: material.double_sided,
             unlit: material.unlit,
+            base_texture: material.base_texture,
+            source: material.source.clone(),
         })
     }
 
@@ -158,9 +180,26 @@ impl MaterialEntry {
         Material {
             name: self.name.clone(),
             base_color: self.base_color.map(|c| c as f32),
+            base_texture: self.base_texture,
             double_sided: self.double_sided,
             unlit: self.unlit,
-            ..Material::default()
+            source: self.source.clone(),
+        }
+    }
+
+    /// The entries of a mesh's materials, which a reader can read again: the JSON of materials may
+    /// come from anywhere.
+    pub(super) fn all_of(mesh: &Mesh) -> Result<Vec<Self>, ProgressiveError> {
+        let fault = |problem| ProgressiveError::Mesh { problem };
+        let entries: Option<Vec<_>> = mesh.materials.iter().map(Self::of).collect();
+        let entries = entries.ok_or(fault("a number of a material is not finite"))?;
+        let json = json!({ "materials": entries, "textures": mesh.textures }).to_string();
+        if json.len() > MAX_APPEARANCE_BYTES {
+            return Err(fault("its materials and textures are over 32 MiB of JSON"));
+        }
+        match serde_json::from_str::<serde_json::Value>(&json) {
+            Ok(_) => Ok(entries),
+            Err(_) => Err(fault("the JSON of a material is nested too deep")),
         }
     }
 }
@@ -253,7 +292,7 @@ impl Header {
         }
     }
 
-    /// A replay of the file's size with nothing in it.
+    /// A replay of the file's size with nothing in it but materials and textures.
     pub(super) fn blank_replay(&self) -> Replay {
         let (n_vertices, n_faces) = (self.n_vertices as usize, self.n_faces as usize);
         let width: usize = self.layers.iter().map(|l| l.width as usize).sum();
@@ -271,6 +310,8 @@ impl Header {
             n_original_wedges: self.n_wedges,
             layers: self.layers.iter().map(|l| (l.semantic, l.width as usize)).collect(),
             materials: self.materials.iter().map(MaterialEntry::material).collect(),
+            textures: self.textures.clone(),
+            images: Vec::new(),
             n_alive_faces: 0,
             n_alive_vertices: 0,
             n_edits: 0,

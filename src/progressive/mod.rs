@@ -26,6 +26,9 @@
 //!    that [`ReadLimits`] or the bytes that are there do not bear out;
 //! 4. the same mesh and records give the same bytes.
 //!
+//! Materials, textures and images are the same at every level (`images`); decoded images are not
+//! stored.
+//!
 //! Based on progressive meshes (Hoppe, "Progressive Meshes", 1996, and the record of `PMesh.h` in
 //! his Mesh-processing-library); differs in keeping the ids of the original mesh and full
 //! precision, so that a level is the very mesh that the simplifier had.
@@ -38,6 +41,7 @@ mod coder;
 mod edits;
 mod error;
 mod header;
+mod images;
 mod linked;
 mod linked_edits;
 mod log;

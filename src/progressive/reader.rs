@@ -7,6 +7,7 @@ use super::{
     base::{code_mesh, code_wedges},
     error::{Damage, ProgressiveError},
     header::{Header, Level},
+    images::take_images,
     linked,
     log::RecordLog,
     replay::Replay,
@@ -135,7 +136,9 @@ impl<'a> Reader<'a> {
     /// # Errors
     /// When the coarsest mesh cannot be read.
     pub fn coarse_to_fine(&self) -> Result<CoarseToFine<'_>, ProgressiveError> {
+        let Header { images, blobs, .. } = &self.header;
         let mut replay = self.header.blank_replay();
+        replay.images = take_images(images, blobs, self.body)?;
         let is_known = self.read_base(&mut replay)?;
         Ok(CoarseToFine {
             reader: self,

@@ -17,7 +17,8 @@ use super::{
     rings::Rings,
 };
 use crate::mesh::{
-    AttributeLayer, Collapse, Material, Mesh, RemovedFace, Rewedged, Semantic, VertexId, WedgeId,
+    AttributeLayer, Collapse, Image, Material, Mesh, RemovedFace, Rewedged, Semantic, Texture,
+    VertexId, WedgeId,
 };
 
 /// A mesh at some level between the original and the coarsest.
@@ -40,6 +41,8 @@ pub struct Replay {
     pub(super) n_original_wedges: u32,
     pub(super) layers: Vec<(Semantic, usize)>,
     pub(super) materials: Vec<Material>,
+    pub(super) textures: Vec<Texture>,
+    pub(super) images: Vec<Image>,
     pub(super) n_alive_faces: u32,
     pub(super) n_alive_vertices: u32,
     /// Edits other than collapses that are applied.
@@ -90,6 +93,8 @@ impl Replay {
             n_original_wedges: n_wedges as u32,
             layers: mesh.layers.iter().map(|l| (l.semantic, l.width)).collect(),
             materials: mesh.materials.clone(),
+            textures: mesh.textures.clone(),
+            images: mesh.images.clone(),
             n_alive_faces: n_faces as u32,
             n_alive_vertices: n_vertices as u32,
             n_edits: 0,
@@ -223,7 +228,8 @@ impl Replay {
             face_materials: self.face_materials.clone(),
             layers,
             materials: self.materials.clone(),
-            ..Mesh::default()
+            textures: self.textures.clone(),
+            images: self.images.clone(),
         }
     }
 

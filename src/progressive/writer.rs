@@ -9,6 +9,7 @@ use super::{
     base::{code_mesh, code_wedges},
     error::Damage,
     header::{Block, Header, Layer, Level, MaterialEntry},
+    images::put_images,
     linked,
     log::RecordLog,
     replay::Replay,
@@ -38,13 +39,11 @@ impl Writer {
     /// # Errors
     /// [`ProgressiveError::Mesh`] for a mesh that breaks its invariants.
     pub fn new(mesh: &Mesh) -> Result<Self, ProgressiveError> {
-        let materials: Option<_> = mesh.materials.iter().map(MaterialEntry::of).collect();
-        let problem = "the colour of a material is not finite";
         Ok(Self {
             replay: Replay::from_mesh(mesh)?,
             log: RecordLog::default(),
             levels: Vec::new(),
-            materials: materials.ok_or(ProgressiveError::Mesh { problem })?,
+            materials: MaterialEntry::all_of(mesh)?,
             edited: EditedLevels::default(),
         })
     }
@@ -101,6 +100,7 @@ impl Writer {
         let mut wedges: Vec<u32> = (0..header.n_all_wedges).filter(is_stored).collect();
         code_wedges(&mut base, &mut self.replay, &mut wedges).map_err(at_base)?;
         let mut body = Vec::new();
+        (header.images, header.blobs) = put_images(&self.replay.images, &mut body);
         header.n_base_wedges = wedges.len() as u32;
         header.base = base.pack(&mut body)?;
         header.blocks = blocks;
@@ -131,6 +131,9 @@ impl Writer {
             has_face_materials: !replay.face_materials.is_empty(),
             layers: layers.map(|&(semantic, w)| Layer { semantic, width: w as u32 }).collect(),
             materials: std::mem::take(&mut self.materials),
+            textures: replay.textures.clone(),
+            images: Vec::new(),
+            blobs: Vec::new(),
             levels: std::mem::take(&mut self.levels),
             n_records: self.log.len() as u32,
             n_base_vertices: replay.n_alive_vertices,

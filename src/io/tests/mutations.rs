@@ -78,10 +78,13 @@ proptest! {
         if let Ok(ingest) = load(name, &bytes) {
             // What was read can be written, and what was written can be read.
             if let Ok(bytes) = write_glb(&ingest.mesh) {
-                let again = load("a.glb", &bytes).map(|again| again.mesh.images.len());
                 let images = ingest.mesh.images.iter().filter(|image| !image.bytes.is_empty());
                 let n = if ingest.mesh.materials.is_empty() { 0 } else { images.count() };
-                prop_assert_eq!(again, Ok(n));
+                match load("a.glb", &bytes) {
+                    Ok(again) => prop_assert_eq!(again.mesh.images.len(), n),
+                    // Points may fall together in single precision.
+                    Err(error) => prop_assert_eq!(error.code(), "NO_TRIANGLES"),
+                }
             }
         }
     }

@@ -1,6 +1,7 @@
 //! Damaged files: an error or some mesh, never a panic.
 
 use proptest::prelude::*;
+use serde_json::json;
 
 use super::{
     edits::random_edits,
@@ -65,7 +66,8 @@ fn forge(bytes: &[u8], part: usize, stream: usize, edit: impl Fn(&mut Vec<u8>)) 
         .chain(blocks(&mut header).into_iter().map(|block| block.section))
         .collect();
     let n = old.len();
-    let mut new_body = Vec::new();
+    // Images come first.
+    let mut new_body = body[..header.base.offset as usize].to_vec();
     let mut sections = Vec::new();
     for (i, section) in old.iter().enumerate() {
         let mut streams = Streams::unpack(section, body, "x").unwrap();
@@ -140,7 +142,7 @@ proptest! {
     }
 
     #[test]
-    fn forged_headers_never_panic(seed in 0..6_u64, field in 0..14_usize, value in any::<u32>()) {
+    fn forged_headers_never_panic(seed in 0..6_u64, field in 0..19_usize, value in any::<u32>()) {
         let bytes = file(seed);
         let (mut header, body) = Header::parse(&bytes, &ReadLimits::default()).unwrap();
         let value = value >> (value % 29);
@@ -155,13 +157,17 @@ proptest! {
             7 => header.base.raw[value as usize % 3] = value,
             8 => header.has_face_materials ^= true,
             9 => header.levels[0].record = value,
+            10 | 11 => header.images.iter_mut().for_each(|image| image.blob = Some(value)),
+            12 => header.blobs.iter_mut().for_each(|blob| blob.n_bytes = value.into()),
+            13 => header.blobs.iter_mut().for_each(|blob| blob.offset = value.into()),
+            14 => header.textures.iter_mut().for_each(|texture| texture.image = Some(value)),
             _ => {
                 let edits = header.levels[0].edits.as_mut().unwrap();
                 let block = &mut edits.blocks[0];
                 match field {
-                    10 => edits.n_edits = value,
-                    11 => edits.faces = value,
-                    12 => (edits.n_edits, block.n_records) = (value, value),
+                    15 => edits.n_edits = value,
+                    16 => edits.faces = value,
+                    17 => (edits.n_edits, block.n_records) = (value, value),
                     _ => block.section.raw[value as usize % 3] = value,
                 }
             }
@@ -209,6 +215,51 @@ fn errors_say_what_is_wrong() {
     let limits = ReadLimits { max_faces: 53, ..ReadLimits::default() };
     let error = Reader::open_with(&good, limits).unwrap().extract_level("first").unwrap_err();
     assert!(error.to_string().contains("triangles are over the limit of 53"), "{error}");
+}
+
+/// Images are checked before anything of their size is made.
+#[test]
+fn images_are_checked() {
+    let good = file(0);
+    let (header, body) = Header::parse(&good, &ReadLimits::default()).unwrap();
+    assert_eq!((header.images.len(), header.blobs.len()), (4, 2));
+    type Row = (&'static str, fn(&mut Header));
+    let rows: [Row; 5] = [
+        ("images: the checksum does not agree", |h| h.blobs[0].crc32 ^= 1),
+        ("images: 18446744073709551615 bytes are needed", |h| h.blobs[1].n_bytes = u64::MAX),
+        ("images: 18446744073709551615 bytes are needed", |h| h.blobs[0].offset = u64::MAX),
+        ("bytes are needed but", |h| h.blobs = h.blobs.repeat(1000)),
+        ("an image names bytes that are not there", |h| h.images[2].blob = Some(2)),
+    ];
+    for (said, change) in rows {
+        let mut forged = header.clone();
+        change(&mut forged);
+        let forged = [forged.to_bytes().unwrap(), body.to_vec()].concat();
+        let error = read_all(&forged).unwrap_err().to_string();
+        assert!(error.contains(said), "{said}: {error}");
+    }
+    // A file from before textures has none of the fields.
+    let mut old = header;
+    (old.images, old.blobs, old.textures) = Default::default();
+    let old = [old.to_bytes().unwrap(), body.to_vec()].concat();
+    assert!(read_all(&old).is_ok());
+    let json = String::from_utf8_lossy(&old).into_owned();
+    assert!(!json.contains("\"images\"") && !json.contains("\"blobs\""));
+}
+
+/// A material whose JSON could not be read again is refused at once.
+#[test]
+fn materials_must_be_readable() {
+    let extras = Extras { layers: false, materials: true, ugly: false };
+    let nested = |depth| (0..depth).fold(json!(1), |inner, _| json!([inner]));
+    let of_source = |source| {
+        let mut mesh = grid(2, extras, &mut Rng(1));
+        mesh.materials[0].source = Some(source);
+        Writer::new(&mesh).map(|_| ()).map_err(|error| error.to_string())
+    };
+    assert_eq!(of_source(nested(100)), Ok(()));
+    assert!(of_source(nested(126)).unwrap_err().contains("nested too deep"));
+    assert!(of_source(json!("x".repeat(33 << 20))).unwrap_err().contains("32 MiB"));
 }
 
 /// A coarse level does not look at later bytes.

@@ -1,10 +1,11 @@
 //! Edge collapse in the most obvious way, to compare with: lists of faces, no connectivity.
 
 use glam::DVec3;
+use serde_json::json;
 
 use crate::mesh::{
-    AttributeLayer, Collapse, Corner, FaceId, Material, Mesh, RemovedFace, Rewedged, Semantic,
-    VertexId, WedgeId,
+    AttributeLayer, Collapse, Corner, FaceId, Image, Material, Mesh, RemovedFace, Rewedged,
+    Semantic, Texture, TextureUse, VertexId, WedgeId, Wrap,
 };
 
 /// A small random number generator (SplitMix64), so that a sequence is given by one seed.
@@ -181,7 +182,8 @@ impl Plain {
             face_materials: alive.iter().filter_map(|(i, _)| materials.get(*i).copied()).collect(),
             layers,
             materials: self.source.materials.clone(),
-            ..Mesh::default()
+            textures: self.source.textures.clone(),
+            images: self.source.images.clone(),
         }
     }
 }
@@ -223,11 +225,40 @@ pub(super) fn grid(n: usize, extras: Extras, rng: &mut Rng) -> Mesh {
             .map(|i| Material {
                 name: format!("m{i}"),
                 base_color: [0.1, 1.0 / 3.0, i as f32, 1.0],
+                base_texture: (i == 1).then_some(TextureUse {
+                    texture: 1,
+                    tex_coord: 2,
+                    transform: [[0.1, -0.0, 1e-30], [1.0 / 3.0, 3e38, 0.0]],
+                }),
+                source: (i == 2).then(|| json!({ "name": "m2", "extras": [0.1, -1, null] })),
                 ..Material::default()
             })
             .collect();
+        add_textures(&mut mesh);
     }
     mesh
+}
+
+/// Of four images the second has no bytes, the last shares those of the first.
+fn add_textures(mesh: &mut Mesh) {
+    let image = |i: usize, bytes: &[u8]| Image {
+        name: format!("i{i}"),
+        mime: "image/png".to_owned(),
+        bytes: bytes.into(),
+        pixels: None,
+    };
+    mesh.images = vec![image(0, b"one"), image(1, b""), image(2, &[0; 99]), image(3, b"")];
+    mesh.images[3].bytes = mesh.images[0].bytes.clone();
+    mesh.textures = vec![
+        Texture { name: "t".to_owned(), image: Some(2), ..Texture::default() },
+        Texture {
+            image: Some(0),
+            fallback: Some(9),
+            wrap: [Wrap::Clamp, Wrap::Mirror],
+            filters: [Some(9729), None],
+            ..Texture::default()
+        },
+    ];
 }
 
 /// Normals and coordinates: a wedge per vertex, and one more per vertex on every fourth row.
