@@ -7,24 +7,28 @@ use crate::{
     metric::is_white,
 };
 
+/// How the original and its levels are drawn: as the run-time pictures are.
+pub(super) fn look(spec: &Spec, original: &Mesh) -> Look {
+    let render = &spec.render;
+    Look {
+        shading: match render.shading {
+            spec::Shading::Flat => compare::Shading::Flat,
+            spec::Shading::Smooth => compare::Shading::Smooth,
+        },
+        appearance: if is_white(original) { Appearance::White } else { Appearance::Coloured },
+        ambient: render.ambient,
+        background: render.background,
+        ..Look::default()
+    }
+}
+
 /// The original in 24 views of 512², anti-aliased, lit and shaded as the run-time pictures are.
 pub(super) struct Critic<'m>(compare::Reference<'m>);
 
 impl<'m> Critic<'m> {
     /// Draws the original.
     pub fn new(spec: &Spec, original: &'m Mesh) -> Self {
-        let render = &spec.render;
-        let is_white = is_white(original);
-        let look = Look {
-            shading: match render.shading {
-                spec::Shading::Flat => compare::Shading::Flat,
-                spec::Shading::Smooth => compare::Shading::Smooth,
-            },
-            appearance: if is_white { Appearance::White } else { Appearance::Coloured },
-            ambient: render.ambient,
-            background: render.background,
-            ..Look::default()
-        };
+        let (render, look) = (&spec.render, look(spec, original));
         let params = compare::Params {
             look,
             fov_degrees: render.fov_degrees,

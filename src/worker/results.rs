@@ -12,6 +12,7 @@ use crate::{
 };
 
 use super::{
+    critic::look,
     levels::{Level, Levels, Optimized, StoppedBy},
     pipeline::PipelineError,
     recorder::Recorder,
@@ -149,7 +150,7 @@ pub fn write_all(
         reports.push(level_report(file, level));
     }
     out.write("progressive.lkpm", "application/octet-stream", &progressive)?;
-    write_pictures(&mut out, original, levels)?;
+    write_pictures(&mut out, attempt.spec, original, levels)?;
     let samples = &out.recorder.samples;
     let csv = energy_csv(samples);
     let plots = plots(samples, reports.iter().map(|r| r.triangles as u32).collect());
@@ -200,16 +201,23 @@ fn level_report(file: String, level: &Level) -> LevelReport<'_> {
 
 fn write_pictures(
     out: &mut Output<'_, '_>,
+    spec: &Spec,
     original: &Mesh,
     levels: &Levels,
 ) -> Result<(), PipelineError> {
     let chain: Vec<&Mesh> = levels.in_order().map(|l| &l.mesh).collect();
-    let sheets = compare::sheets(original, &chain, &compare::SheetParams::default());
+    let drawn = look(spec, original);
+    let with_look = |mut params: compare::SheetParams| {
+        (params.look.shading, params.look.appearance) = (drawn.shading, drawn.appearance);
+        params
+    };
+    let params = with_look(compare::SheetParams::default());
+    let sheets = compare::sheets(original, &chain, &params);
     for (i, png) in sheets.iter().enumerate() {
         out.write(&format!("contact-{i}.png"), "image/png", png)?;
     }
-    let png =
-        compare::sheet_multi(original, &chain, &compare::SheetParams::chain(compare::Axis::Y));
+    let params = with_look(compare::SheetParams::chain(compare::Axis::Y));
+    let png = compare::sheet_multi(original, &chain, &params);
     out.write("levels.png", "image/png", &png)
 }
 
