@@ -4,9 +4,10 @@
 //! corners keep their order.
 //!
 //! Wedges: in each removed triangle the wedge of `keep` and the wedge of `drop` merge into one
-//! new wedge, interpolated where the new position projects on the edge. Every surviving corner
-//! of either vertex that used one of the pair gets the new wedge (the first pair that names it,
-//! when a seam ends here); all other wedges stay, so seams that cross the edge survive.
+//! new wedge. Every surviving corner of either vertex that used one of the pair gets the new wedge
+//! (the first pair that names it, when a seam ends here). A wedge of a vertex that moves and that no
+//! removed triangle has is replaced by one of its own, so that seams which cross the edge survive and
+//! the attributes on their other side stay where they are. What new wedges hold: `wedges.rs`.
 
 use glam::DVec3;
 use smallvec::SmallVec;
@@ -14,7 +15,7 @@ use smallvec::SmallVec;
 use super::edit::{Collapse, RemovedFace, Rewedged};
 use super::edit_mesh::EditMesh;
 use super::model::{Corner, FaceId, VertexId, WedgeId};
-use super::wedges::{Pair, add_pair, edge_parameter, replacement};
+use super::wedges::{Pair, add_pair};
 
 impl EditMesh {
     /// Collapses (keep, drop) into `keep`, placed at `to`, whatever the topology (see
@@ -68,13 +69,18 @@ impl EditMesh {
         });
         for corner in at_keep.chain(record.moved.iter().copied()) {
             let from = self.wedges_of(corner.face())[corner.k()];
-            if let Some(to) = replacement(&pairs, record.first_new_wedge, from) {
-                record.rewedged.push(Rewedged { corner, from, to });
-            }
+            let at = match pairs.iter().position(|pair| pair.contains(&from)) {
+                Some(at) => at,
+                None if self.position(self.vertices_of(corner.face())[corner.k()]) == record.to => {
+                    continue;
+                }
+                None => add_pair(&mut pairs, [from; 2]),
+            };
+            let to = WedgeId(record.first_new_wedge.0 + at as u32);
+            record.rewedged.push(Rewedged { corner, from, to });
         }
         record.rewedged.sort_unstable_by_key(|r| r.corner);
-        let t = edge_parameter(record.keep_from, record.drop_from, record.to);
-        record.new_wedges = self.blend_wedges(&pairs, t);
+        record.new_wedges = self.fit_wedges(record, &pairs);
     }
 
     /// Applies a collapse that was planned, or undone, in exactly this state.

@@ -64,7 +64,7 @@ fn a_collapse_keeps_corner_order_and_lists_what_it_did() {
 #[test]
 fn wedges_of_a_collapsed_edge_merge_where_the_vertex_lands() {
     // A square of two triangles around the diagonal 0-2, one wedge per vertex.
-    let positions = vec![DVec3::ZERO, DVec3::X, DVec3::ONE, DVec3::Y];
+    let positions = vec![DVec3::ZERO, DVec3::X, DVec3::new(1.0, 1.0, 0.0), DVec3::Y];
     let mut mesh = Mesh::from_parts(positions, vec![[0, 1, 2], [0, 2, 3]]);
     mesh.face_wedges = mesh.faces.clone();
     let values = vec![0.0, 0.0, 1.0, 0.0, 1.0, 1.0, 0.0, 1.0];
@@ -77,6 +77,62 @@ fn wedges_of_a_collapsed_edge_merge_where_the_vertex_lands() {
     let snapshot = mesh.snapshot();
     assert_eq!(snapshot.faces, [[0, 1, 2]]);
     assert_eq!(snapshot.layers[0].values, [1.0, 1.0, 0.0, 1.0, 0.25, 0.0]);
+}
+
+/// A flat grid of 6 × 6 quads with two charts that meet at x = 3: (x, y) on the left and (20 − x, y + 7)
+/// on the right.
+fn two_charts() -> Mesh {
+    let at = |i: u32, j: u32| 7 * j + i;
+    let mut mesh = Mesh::default();
+    for j in 0..7 {
+        mesh.positions.extend((0..7).map(|i| DVec3::new(f64::from(i), f64::from(j), 0.0)));
+    }
+    for (i, j) in (0..6).flat_map(|j| (0..6).map(move |i| (i, j))) {
+        let [a, b, c, d] = [at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)];
+        mesh.faces.extend([[a, b, c], [a, c, d]]);
+        let right = if i >= 3 { 49 } else { 0 };
+        mesh.face_wedges.extend([[a, b, c], [a, c, d]].map(|f| f.map(|v| v + right)));
+    }
+    let uv = |p: &DVec3| [p.x as f32, p.y as f32];
+    let left = mesh.positions.iter().flat_map(uv);
+    let right = mesh.positions.iter().map(uv).flat_map(|[x, y]| [20.0 - x, y + 7.0]);
+    let values = left.chain(right).collect();
+    mesh.layers = vec![AttributeLayer { semantic: Semantic::TexCoord(0), width: 2, values }];
+    mesh
+}
+
+/// Attributes that are affine on a plane stay so on both sides of a seam, wherever the vertex goes.
+#[test]
+fn collapses_keep_affine_attributes() {
+    let original = two_charts();
+    let at = |i: u32, j: u32| VertexId(7 * j + i);
+    let rows = [
+        // On the left, off the line between the ends.
+        (at(1, 2), at(2, 2), DVec3::new(1.6, 2.3, 0.0)),
+        // The seam gives way along itself.
+        (at(3, 2), at(3, 3), DVec3::new(3.0, 2.7, 0.0)),
+        // A vertex of the seam swallows one beside it, and slides along the seam.
+        (at(3, 4), at(2, 4), DVec3::new(3.0, 4.4, 0.0)),
+        (at(4, 3), at(3, 3), DVec3::new(3.0, 3.2, 0.0)),
+    ];
+    for (keep, drop, to) in rows {
+        let mut mesh = EditMesh::new(original.clone()).unwrap();
+        mesh.collapse(keep, drop, to);
+        mesh.validate().unwrap();
+        for face in mesh.faces() {
+            let right =
+                mesh.mesh().faces[face.index()].iter().map(|v| mesh.position(VertexId(*v)).x);
+            let right = right.sum::<f64>() / 3.0 > 3.0;
+            for (v, w) in mesh.vertices_of(face).into_iter().zip(mesh.wedges_of(face)) {
+                let p = mesh.position(v);
+                let expected =
+                    if right { [20.0 - p.x, p.y + 7.0] } else { [p.x, p.y] }.map(|x| x as f32);
+                let found = mesh.mesh().layers[0].get(w);
+                let is_near = (0..2).all(|k| (found[k] - expected[k]).abs() < 1e-5);
+                assert!(is_near, "{keep:?} {drop:?}: {found:?}, not {expected:?} at {p}");
+            }
+        }
+    }
 }
 
 #[test]

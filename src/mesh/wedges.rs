@@ -1,10 +1,17 @@
-//! Attribute values of new wedges: interpolation along an edge.
+//! Attribute values of new wedges.
+//!
+//! A split interpolates along the edge. A collapse fits: each triangle that a wedge belonged to says, by the affine
+//! function of its corners' attributes, what the attributes are where the vertex now is (projected on its plane);
+//! the new wedge has the mean of these, weighted by squared areas as volume optimization weights triangles. Where the
+//! attributes are affine over the neighbourhood they stay so, wherever the vertex goes. Values do not leave the range
+//! that they have at the corners of those triangles.
 
 use glam::DVec3;
 use smallvec::SmallVec;
 
+use super::edit::{Collapse, RemovedFace};
 use super::edit_mesh::EditMesh;
-use super::model::{Semantic, WedgeId};
+use super::model::{AttributeLayer, FaceId, Semantic, WedgeId};
 
 /// Two wedges that become one.
 pub(super) type Pair = [WedgeId; 2];
@@ -26,15 +33,48 @@ impl EditMesh {
                 let [a, b] = pair.map(|wedge| layer.get(wedge));
                 let start = values.len();
                 values.extend(a.iter().zip(b).map(|(&a, &b)| lerp(a, b, t)));
-                let blended = &mut values[start..];
-                match layer.semantic {
-                    Semantic::Normal => renormalise(blended),
-                    Semantic::Tangent => settle_tangent(blended, if t < 0.5 { a } else { b }),
-                    Semantic::TexCoord(_) | Semantic::Color(_) | Semantic::Custom(_) => {}
-                }
+                settle(&mut values[start..], layer, [a, b], t);
             }
         }
         values
+    }
+
+    /// Values of the wedges that a planned collapse appends, one for each pair; those that the corners in
+    /// `rewedged` get. As [`Self::blend_wedges`] returns them.
+    pub(super) fn fit_wedges(&self, plan: &Collapse, pairs: &[Pair]) -> Vec<f32> {
+        let mut values = Vec::new();
+        let t = edge_parameter(plan.keep_from, plan.drop_from, plan.to);
+        for (k, pair) in pairs.iter().enumerate() {
+            let opinions = self.opinions(plan, *pair, WedgeId(plan.first_new_wedge.0 + k as u32));
+            if opinions.is_empty() {
+                values.extend(self.blend_wedges(std::slice::from_ref(pair), t));
+                continue;
+            }
+            for layer in &self.mesh.layers {
+                let start = values.len();
+                values.extend((0..layer.width).map(|at| fitted(&opinions, layer, at)));
+                settle(&mut values[start..], layer, pair.map(|wedge| layer.get(wedge)), t);
+            }
+        }
+        values
+    }
+
+    /// What the triangles of a pair say of the place that a collapse leads to; none of a triangle too thin to
+    /// say anything.
+    fn opinions(&self, plan: &Collapse, pair: Pair, new: WedgeId) -> SmallVec<[Opinion; 12]> {
+        let ends = [plan.keep, plan.drop];
+        let is_of_pair = |r: &&RemovedFace| {
+            let of_end = |end| r.wedges[r.vertices.iter().position(|v| *v == end).unwrap_or(0)];
+            ends.map(of_end) == pair
+        };
+        let removed = plan.removed.iter().filter(is_of_pair).map(|r| r.face);
+        let kept = plan.rewedged.iter().filter(|r| r.to == new).map(|r| r.corner.face());
+        let opinion = |face: FaceId| {
+            let corners = self.vertices_of(face).map(|v| self.position(v));
+            let (weight, shares) = shares_of(corners, plan.to)?;
+            Some(Opinion { weight, shares, wedges: self.wedges_of(face) })
+        };
+        removed.chain(kept).filter_map(opinion).collect()
     }
 
     /// The id that the next appended wedge will get.
@@ -62,11 +102,52 @@ impl EditMesh {
     }
 }
 
-/// The wedge that replaces `wedge` when `pairs` merge into wedges numbered from `first`; when
-/// several pairs name it, the first one counts.
-pub(super) fn replacement(pairs: &[Pair], first: WedgeId, wedge: WedgeId) -> Option<WedgeId> {
-    let at = pairs.iter().position(|pair| pair.contains(&wedge))?;
-    Some(WedgeId(first.0 + at as u32))
+/// What a triangle says of a place: by which shares of its corners' attributes, and how much that counts.
+struct Opinion {
+    weight: f64,
+    shares: [f64; 3],
+    wedges: [WedgeId; 3],
+}
+
+/// Squared double area of a triangle, and the shares of its corners at the projection of `x` on its plane, which add
+/// up to 1; `None` of a sliver.
+fn shares_of([a, b, c]: [DVec3; 3], x: DVec3) -> Option<(f64, [f64; 3])> {
+    /// Least height of a triangle, as a share of its longest side.
+    const THIN: f64 = 1e-3;
+    let normal = (b - a).cross(c - a);
+    let weight = normal.length_squared();
+    let longest =
+        (b - a).length_squared().max((c - b).length_squared()).max((a - c).length_squared());
+    if weight.is_nan() || weight <= (THIN * longest).powi(2) {
+        return None;
+    }
+    let of_b = (x - a).cross(c - a).dot(normal) / weight;
+    let of_c = (b - a).cross(x - a).dot(normal) / weight;
+    Some((weight, [1.0 - of_b - of_c, of_b, of_c]))
+}
+
+/// The weighted mean of what triangles say of value `at` of a layer, within the range of their corners.
+fn fitted(opinions: &[Opinion], layer: &AttributeLayer, at: usize) -> f32 {
+    let (mut sum, mut total) = (0.0, 0.0);
+    let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
+    for opinion in opinions {
+        let values = opinion.wedges.map(|w| layer.get(w)[at]);
+        let said: f64 = (0..3).map(|k| opinion.shares[k] * f64::from(values[k])).sum();
+        sum += opinion.weight * said;
+        total += opinion.weight;
+        low = values.iter().fold(low, |a, b| a.min(*b));
+        high = values.iter().fold(high, |a, b| a.max(*b));
+    }
+    ((sum / total) as f32).max(low).min(high)
+}
+
+/// Brings a new value to what its meaning demands; `ends` are those of the pair it comes from.
+fn settle(value: &mut [f32], layer: &AttributeLayer, [a, b]: [&[f32]; 2], t: f64) {
+    match layer.semantic {
+        Semantic::Normal => renormalise(value),
+        Semantic::Tangent => settle_tangent(value, if t < 0.5 { a } else { b }),
+        Semantic::TexCoord(_) | Semantic::Color(_) | Semantic::Custom(_) => {}
+    }
 }
 
 /// Adds a pair unless it is there; returns its position.
