@@ -26,8 +26,13 @@ pub(crate) struct JobArgs {
     /// How much work each collapse is worth.
     #[arg(long, default_value = "balanced", value_parser = word::<Effort>(&["fast", "balanced", "best"]))]
     effort: Effort,
-    /// Keep parts and holes, or let them go where a target asks for it.
-    #[arg(long, default_value = "preserve", value_parser = word::<Topology>(&["preserve", "free"]))]
+    /// Keep parts and holes, or let them go where a target asks for it; `auto` keeps them in models of one
+    /// piece.
+    #[arg(
+        long,
+        default_value = "auto",
+        value_parser = word::<Topology>(&["auto", "preserve", "free"])
+    )]
     topology: Topology,
     #[command(flatten)]
     pictures: PictureArgs,

@@ -179,7 +179,7 @@ impl Levels {
     pub fn explain(&self, spec: &Spec, recorder: &mut Recorder<'_>) -> Result<(), PipelineError> {
         for level in self.done.iter().filter(|l| l.mesh.faces.len() > l.target) {
             let why = match (level.stopped_by, spec.topology) {
-                (StoppedBy::NoLegalCollapse, Topology::Preserve) => {
+                (StoppedBy::NoLegalCollapse, Topology::Preserve | Topology::Auto) => {
                     "no collapse is left that keeps its parts and holes; ask for more, or for free \
                      topology"
                 }

@@ -29,7 +29,8 @@ pub fn memoryless(spec: &Spec) -> memoryless::Params {
 
 fn topology(spec: &Spec) -> Topology {
     match spec.topology {
-        spec::Topology::Preserve => Topology::Preserve,
+        // The pipeline has settled it by now.
+        spec::Topology::Auto | spec::Topology::Preserve => Topology::Preserve,
         spec::Topology::Free => Topology::Free,
     }
 }

@@ -15,7 +15,10 @@ use std::{
 
 use crate::{
     io,
-    jobs::{event::Report, spec::Spec},
+    jobs::{
+        event::Report,
+        spec::{Spec, Topology},
+    },
     mesh::{EditMesh, Mesh, Semantic},
     metric::{Palette, with_vertex_normals},
     optimize::OptimizeError,
@@ -137,7 +140,7 @@ pub(super) struct Job<'j> {
 /// Runs the whole job: reads its inputs, writes every artifact into `out_dir`, and tells `on` of
 /// each step. `Break` from `on` cancels.
 pub fn run(
-    spec: &Spec,
+    asked: &Spec,
     inputs: &Inputs<'_>,
     out_dir: &Path,
     device: &DeviceChoice,
@@ -148,11 +151,15 @@ pub fn run(
     let (original, simplified) =
         (read(&inputs.original)?, inputs.simplified.as_ref().map(read).transpose()?);
     let ingest = original.report;
+    let spec = &settled(asked, &ingest);
     let original = prepared(spec, original.mesh);
     let critic = OnceLock::new();
     let base = simplifying::base(spec, &original, simplified.as_ref());
     let mut recorder = Recorder::new(spec, &base, start, on)?;
     recorder.announce("model", &ingest)?;
+    if asked.topology != spec.topology {
+        recorder.note("TOPOLOGY_CHOSEN", chosen_topology(spec.topology))?;
+    }
     if let Some(simplified) = &simplified {
         recorder.announce("simplified mesh", &simplified.report)?;
     }
@@ -177,6 +184,26 @@ pub fn run(
 
     let attempt = results::Attempt { spec, ingest: &ingest, figures: &figures, start };
     results::write_all(out_dir, &original, &levels, &mut recorder, &attempt)
+}
+
+/// The specification, with what was left to the model decided.
+fn settled(asked: &Spec, model: &io::IngestReport) -> Spec {
+    let topology = match asked.topology {
+        Topology::Auto if model.components > 1 || model.non_manifold_edges > 0 => Topology::Free,
+        Topology::Auto => Topology::Preserve,
+        explicit => explicit,
+    };
+    Spec { topology, ..asked.clone() }
+}
+
+fn chosen_topology(topology: Topology) -> &'static str {
+    match topology {
+        Topology::Free => {
+            "the model has several parts or edges of more than two triangles: topology is free, parts may \
+             vanish where pictures do not miss them; `preserve` keeps them"
+        }
+        _ => "the model is one piece: its topology is kept; `free` lets handles and holes close",
+    }
 }
 
 /// The original, with vertex normals where they are to be optimized and it has none: collapses

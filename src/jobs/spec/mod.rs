@@ -58,9 +58,12 @@ pub enum Projection {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Topology {
+    /// Free where the model has several parts or edges of more than two triangles, preserved where it
+    /// is one piece.
+    #[default]
+    Auto,
     /// Parts stay parts, holes stay holes: a level may end above its target where no collapse
     /// keeps them.
-    #[default]
     Preserve,
     /// Any edge may go: handles close, small parts vanish, targets are reached.
     Free,

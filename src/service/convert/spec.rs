@@ -20,8 +20,11 @@ const EFFORTS: [(v1::Effort, Effort); 3] = [
     (v1::Effort::Best, Effort::Best),
 ];
 
-const TOPOLOGIES: [(v1::Topology, Topology); 2] =
-    [(v1::Topology::Preserve, Topology::Preserve), (v1::Topology::Free, Topology::Free)];
+const TOPOLOGIES: [(v1::Topology, Topology); 3] = [
+    (v1::Topology::Auto, Topology::Auto),
+    (v1::Topology::Preserve, Topology::Preserve),
+    (v1::Topology::Free, Topology::Free),
+];
 
 const SHADINGS: [(v1::Shading, Shading); 2] =
     [(v1::Shading::Flat, Shading::Flat), (v1::Shading::Smooth, Shading::Smooth)];
@@ -315,7 +318,7 @@ mod tests {
         if let Some(v1::job_spec::Kind::Simplify(simplify)) = &mut wire.kind {
             simplify.method = 99;
             simplify.effort = -1;
-            simplify.topology = 3;
+            simplify.topology = 4;
         }
         let fields: Vec<_> = spec_from_wire(Some(wire)).1.into_iter().map(|f| f.field).collect();
         assert_eq!(fields, ["spec.method", "spec.effort", "spec.topology"]);
