@@ -1,6 +1,6 @@
 //! The GLB container and the buffers of a document.
 
-use std::borrow::Cow;
+use std::sync::Arc;
 
 use base64::{
     Engine,
@@ -12,6 +12,8 @@ use gltf::json;
 use super::{IoError, REMEDY, Source};
 
 const JSON_CHUNK: u32 = 0x4E4F_534A;
+/// What to do where another file is needed.
+pub(super) const PACK_REMEDY: &str = "pack the model as GLB, or in a ZIP with its files";
 const BIN_CHUNK: u32 = 0x004E_4942;
 
 /// The JSON text and the binary chunk.
@@ -66,13 +68,31 @@ fn word(bytes: &[u8], at: usize) -> Option<u32> {
 pub(super) struct Buffers<'a>(Vec<Buffer<'a>>);
 
 enum Buffer<'a> {
-    Bytes(Cow<'a, [u8]>),
+    Bytes(Content<'a>),
     External(String),
     Absent,
 }
 
+enum Content<'a> {
+    Chunk(&'a [u8]),
+    Decoded(Vec<u8>),
+    /// A file of the archive that the document is in.
+    Beside(Arc<[u8]>),
+}
+
+impl Content<'_> {
+    fn bytes(&self) -> &[u8] {
+        match self {
+            Self::Chunk(bytes) => bytes,
+            Self::Decoded(bytes) => bytes,
+            Self::Beside(bytes) => bytes,
+        }
+    }
+}
+
 impl<'a> Buffers<'a> {
-    /// Takes the binary chunk and decodes data URIs; nothing is fetched.
+    /// Takes the binary chunk and decodes data URIs; of other files, only those in the same archive
+    /// are read.
     pub(super) fn load(
         source: &Source<'_>,
         root: &json::Root,
@@ -80,23 +100,27 @@ impl<'a> Buffers<'a> {
     ) -> Result<Self, IoError> {
         let mut buffers = Vec::new();
         for (i, buffer) in root.buffers.iter().enumerate() {
+            let beside = |uri: &String| Some((source.beside?, source.beside?.find_uri(uri)?));
             let content = match (&buffer.uri, bin) {
                 (Some(uri), _) if uri.starts_with("data:") => {
-                    Cow::Owned(decode(uri).ok_or_else(|| {
+                    Content::Decoded(decode(uri).ok_or_else(|| {
                         source.malformed(format!("buffer {i}"), "its base64 text is bad", REMEDY)
                     })?)
+                }
+                (Some(uri), _) if let Some((archive, entry)) = beside(uri) => {
+                    Content::Beside(archive.unpack(entry)?)
                 }
                 (Some(uri), _) => {
                     buffers.push(Buffer::External(uri.chars().take(80).collect()));
                     continue;
                 }
-                (None, Some(bin)) if i == 0 => Cow::Borrowed(bin),
+                (None, Some(bin)) if i == 0 => Content::Chunk(bin),
                 (None, _) => {
                     buffers.push(Buffer::Absent);
                     continue;
                 }
             };
-            let (need, have) = (buffer.byte_length.0, content.len() as u64);
+            let (need, have) = (buffer.byte_length.0, content.bytes().len() as u64);
             if have < need {
                 return Err(source.truncated(format!("buffer {i}"), need, have));
             }
@@ -117,11 +141,11 @@ impl<'a> Buffers<'a> {
             let n = root.buffer_views.len() as u64;
             return Err(source.out_of_range(place, "buffer views", index as i64, n));
         };
-        let bytes = match self.0.get(view.buffer.value()) {
-            Some(Buffer::Bytes(bytes)) => bytes,
+        let bytes: &[u8] = match self.0.get(view.buffer.value()) {
+            Some(Buffer::Bytes(content)) => content.bytes(),
             Some(Buffer::External(uri)) => {
                 let feature = format!("{place}: the external buffer '{uri}'");
-                return Err(source.unsupported(feature, "pack the model as GLB"));
+                return Err(source.unsupported(feature, PACK_REMEDY));
             }
             Some(Buffer::Absent) => {
                 let problem = "its buffer has neither a URI nor a binary chunk";

@@ -1,5 +1,6 @@
 //! Readers and writers together: formats, hostile input, round trips, the real models.
 
+mod archives;
 mod bad_input;
 mod formats;
 mod gltf_scenes;
