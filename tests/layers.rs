@@ -79,7 +79,7 @@ const SOLE_OWNERS: [(&str, &[&str]); 12] = [
     ("flate2", &["io"]),
     ("wgpu", &["render"]),
     ("bytemuck", &["render", "io"]),
-    ("meshopt", &["cluster"]),
+    ("meshopt", &["cluster", "io"]),
     ("plotters", &["compare"]),
     ("sqlx", &["jobs"]),
     ("axum", &["telemetry"]),

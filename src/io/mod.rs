@@ -19,7 +19,8 @@
 //! element as an object of its own and loops over elements without properties as often as the
 //! header says; `tobj` and `stl_io` report no line, so an error could not name its place, and
 //! `stl_io` takes every file that begins with `solid ` for text. The readers here are small.
-//! `rawzip` walks archives without allocating, so that what a file states is checked here first.
+//! `meshopt` decodes compressed
+//! buffer views, after the checks that its assertions would stop the process at. `rawzip` walks archives without allocating, so that what a file states is checked here first.
 //!
 //! Knows nothing of files on disk, networks, pictures or jobs.
 

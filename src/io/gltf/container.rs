@@ -9,7 +9,10 @@ use base64::{
 };
 use gltf::json;
 
-use super::{IoError, REMEDY, Source};
+use super::{
+    IoError, REMEDY, Source,
+    compressed::{Carrier, CompressedViews},
+};
 
 const JSON_CHUNK: u32 = 0x4E4F_534A;
 /// What to do where another file is needed.
@@ -65,7 +68,10 @@ fn word(bytes: &[u8], at: usize) -> Option<u32> {
 
 /// The content of each buffer, or why it cannot be had (said only when something needs it, since
 /// a buffer may hold images alone).
-pub(super) struct Buffers<'a>(Vec<Buffer<'a>>);
+pub(super) struct Buffers<'a> {
+    contents: Vec<Buffer<'a>>,
+    compressed: CompressedViews,
+}
 
 enum Buffer<'a> {
     Bytes(Content<'a>),
@@ -97,6 +103,7 @@ impl<'a> Buffers<'a> {
         source: &Source<'_>,
         root: &json::Root,
         bin: Option<&'a [u8]>,
+        views: Vec<Carrier>,
     ) -> Result<Self, IoError> {
         let mut buffers = Vec::new();
         for (i, buffer) in root.buffers.iter().enumerate() {
@@ -126,7 +133,7 @@ impl<'a> Buffers<'a> {
             }
             buffers.push(Buffer::Bytes(content));
         }
-        Ok(Self(buffers))
+        Ok(Self { contents: buffers, compressed: CompressedViews::new(views) })
     }
 
     /// The bytes of a buffer view.
@@ -141,7 +148,25 @@ impl<'a> Buffers<'a> {
             let n = root.buffer_views.len() as u64;
             return Err(source.out_of_range(place, "buffer views", index as i64, n));
         };
-        let bytes: &[u8] = match self.0.get(view.buffer.value()) {
+        let place = format!("{place}: buffer view {index}");
+        if let Some(compressed) = self.compressed.get(index) {
+            let (begin, length) = (compressed.byte_offset, compressed.byte_length);
+            let encoded = self.range(source, compressed.buffer, begin, length, &place)?;
+            return self.compressed.decode(source, index, encoded, view.byte_length.0, &place);
+        }
+        let begin = view.byte_offset.map_or(0, |o| o.0);
+        self.range(source, view.buffer.value(), begin, view.byte_length.0, &place)
+    }
+
+    fn range(
+        &self,
+        source: &Source<'_>,
+        buffer: usize,
+        begin: u64,
+        length: u64,
+        place: &str,
+    ) -> Result<&[u8], IoError> {
+        let bytes: &[u8] = match self.contents.get(buffer) {
             Some(Buffer::Bytes(content)) => content.bytes(),
             Some(Buffer::External(uri)) => {
                 let feature = format!("{place}: the external buffer '{uri}'");
@@ -152,15 +177,13 @@ impl<'a> Buffers<'a> {
                 return Err(source.malformed(place, problem, "pack the model as GLB"));
             }
             None => {
-                let (i, n) = (view.buffer.value() as i64, self.0.len() as u64);
-                return Err(source.out_of_range(place, "buffers", i, n));
+                let n = self.contents.len() as u64;
+                return Err(source.out_of_range(place, "buffers", buffer as i64, n));
             }
         };
-        let begin = view.byte_offset.map_or(0, |o| o.0);
-        let end = begin.saturating_add(view.byte_length.0);
-        bytes.get(begin as usize..end as usize).ok_or_else(|| {
-            source.truncated(format!("{place}: buffer view {index}"), end, bytes.len() as u64)
-        })
+        let end = begin.saturating_add(length);
+        let found = bytes.get(begin as usize..end as usize);
+        found.ok_or_else(|| source.truncated(place, end, bytes.len() as u64))
     }
 }
 

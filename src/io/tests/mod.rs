@@ -2,6 +2,7 @@
 
 mod archives;
 mod bad_input;
+mod compressed;
 mod formats;
 mod gltf_scenes;
 mod models;

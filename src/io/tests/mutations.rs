@@ -5,7 +5,7 @@ use proptest::prelude::*;
 
 use super::{
     archives::{deflated, pack, stored},
-    *,
+    compressed, *,
 };
 use crate::io::{PlyPositions, write_glb, write_obj, write_ply};
 
@@ -45,6 +45,7 @@ fn seeds() -> Vec<(&'static str, Vec<u8>)> {
     vec![
         ("a.zip", pack(&obj_files)),
         ("a.zip", pack(&gltf_files)),
+        ("a.glb", compressed::seed()),
         ("a.glb", square_glb()),
         ("a.glb", textured),
         ("a.glb", textured_again),
