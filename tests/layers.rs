@@ -72,12 +72,14 @@ const MAY_IMPORT: [(&str, &[&str]); 18] = [
 
 /// External crate → the only modules that may name it. Wire stubs live in `service`; the worker
 /// speaks to a server through them, and the command line is a client.
-const SOLE_OWNERS: [(&str, &[&str]); 10] = [
+const SOLE_OWNERS: [(&str, &[&str]); 12] = [
     ("gltf", &["io"]),
     ("gltf_json", &["io"]),
+    ("rawzip", &["io"]),
+    ("flate2", &["io"]),
     ("wgpu", &["render"]),
     ("bytemuck", &["render", "io"]),
-    ("meshopt", &["cluster"]),
+    ("meshopt", &["cluster", "io"]),
     ("plotters", &["compare"]),
     ("sqlx", &["jobs"]),
     ("axum", &["telemetry"]),

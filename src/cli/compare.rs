@@ -20,7 +20,7 @@ use super::{
 #[derive(Args, Debug)]
 #[expect(clippy::struct_excessive_bools, reason = "independent flags of a command")]
 pub(crate) struct CompareArgs {
-    /// The original: .glb, .gltf, .ply, .obj or .stl.
+    /// The original: .glb, .gltf, .ply, .obj or .stl, or a .zip of one with its materials and images.
     original: PathBuf,
     /// The simplified mesh, or several.
     #[arg(required = true)]

@@ -19,7 +19,7 @@ use super::{
 /// Flags of `lookalike optimize`.
 #[derive(Args, Debug)]
 pub(crate) struct OptimizeCommandArgs {
-    /// The original: .glb, .gltf, .ply, .obj or .stl.
+    /// The original: .glb, .gltf, .ply, .obj or .stl, or a .zip of one with its materials and images.
     original: PathBuf,
     /// What some tool has simplified it to, at the same place and scale.
     simplified: PathBuf,

@@ -24,7 +24,7 @@ use super::{
 /// Flags of `lookalike run`.
 #[derive(Args, Debug)]
 pub(crate) struct RunArgs {
-    /// The mesh: .glb, .gltf, .ply, .obj or .stl.
+    /// The mesh: .glb, .gltf, .ply, .obj or .stl, or a .zip of one with its materials and images.
     file: PathBuf,
     #[command(flatten)]
     here: HereArgs,

@@ -21,7 +21,7 @@ use super::{
 /// Flags of `lookalike submit`.
 #[derive(Args, Debug)]
 pub(crate) struct SubmitArgs {
-    /// The mesh: .glb, .gltf, .ply, .obj or .stl.
+    /// The mesh: .glb, .gltf, .ply, .obj or .stl, or a .zip of one with its materials and images.
     file: PathBuf,
     /// Where to put the results.
     #[arg(long, value_name = "DIR", required_unless_present = "no_wait")]

@@ -4,13 +4,18 @@
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum IoError {
     /// No bytes at all.
-    #[error("{file}: the file is empty; send the bytes of a GLB, glTF, PLY, OBJ or STL model")]
+    #[error(
+        "{file}: the file is empty; send the bytes of a GLB, glTF, PLY, OBJ or STL model, or a ZIP of one"
+    )]
     Empty {
         /// Name of the file.
         file: String,
     },
     /// Neither extension nor content say what it is.
-    #[error("{file}: {problem}; send a GLB, glTF, PLY, OBJ or STL file with its usual extension")]
+    #[error(
+        "{file}: {problem}; send a GLB, glTF, PLY, OBJ or STL file with its \
+             usual extension, or a ZIP of one"
+    )]
     UnknownFormat {
         /// Name of the file.
         file: String,

@@ -1,6 +1,6 @@
 //! Which reader a file gets: a table of formats, each with its extensions and a test of content.
 
-use super::{IoError, gltf, obj, ply, soup::Soup, source::Source, stl};
+use super::{IoError, archive, gltf, obj, ply, soup::Soup, source::Source, stl};
 
 /// One row of the table.
 pub(super) struct Format {
@@ -13,13 +13,20 @@ pub(super) struct Format {
 }
 
 /// In the order in which content is tried.
-const FORMATS: [Format; 5] = [
+static FORMATS: [Format; 6] = [
     Format {
         name: "GLB",
         extensions: &["glb"],
         strong: true,
         looks_like: |b| b.starts_with(b"glTF"),
         read: gltf::read_glb,
+    },
+    Format {
+        name: "ZIP",
+        extensions: &["zip"],
+        strong: true,
+        looks_like: |b| b.starts_with(b"PK\x03\x04") || b.starts_with(b"PK\x05\x06"),
+        read: archive::read,
     },
     Format {
         name: "PLY",
@@ -58,14 +65,18 @@ impl Format {
     }
 }
 
+/// Whether the name is that of a model, archives aside.
+pub(super) fn is_model(file: &str) -> bool {
+    FORMATS.iter().any(|f| f.name != "ZIP" && f.has_extension_of(file))
+}
+
 /// The format by extension if the content agrees, else the one whose content test is sure.
 pub(super) fn detect(source: &Source<'_>) -> Result<&'static Format, IoError> {
-    static TABLE: [Format; 5] = FORMATS;
-    let named = TABLE.iter().find(|f| f.has_extension_of(source.file));
+    let named = FORMATS.iter().find(|f| f.has_extension_of(source.file));
     if let Some(format) = named.filter(|f| (f.looks_like)(source.bytes)) {
         return Ok(format);
     }
-    if let Some(format) = TABLE.iter().find(|f| f.strong && (f.looks_like)(source.bytes)) {
+    if let Some(format) = FORMATS.iter().find(|f| f.strong && (f.looks_like)(source.bytes)) {
         return Ok(format);
     }
     let begins = source.bytes[..source.bytes.len().min(12)].escape_ascii().to_string();
@@ -95,7 +106,7 @@ mod tests {
     use crate::io::Limits;
 
     fn name_of(file: &str, bytes: &[u8]) -> Result<&'static str, IoError> {
-        detect(&Source { file, bytes, limits: &Limits::default() }).map(|f| f.name)
+        detect(&Source { file, bytes, limits: &Limits::default(), beside: None }).map(|f| f.name)
     }
 
     #[test]
@@ -103,6 +114,7 @@ mod tests {
         assert_eq!(name_of("a.b/x.GLB", b"glTF...").unwrap(), "GLB");
         assert_eq!(name_of("x.obj", b"ply\nformat").unwrap(), "OBJ", "text may be OBJ");
         assert_eq!(name_of("x.stl", b"ply\nformat").unwrap(), "PLY");
+        assert_eq!(name_of("x", b"PK\x03\x04").unwrap(), "ZIP");
         assert_eq!(name_of("x", b" {}").unwrap(), "glTF");
         let error = name_of("x.glb", b"hello").unwrap_err();
         assert!(error.to_string().contains("not a GLB file: it begins with 'hello'"), "{error}");

@@ -4,8 +4,10 @@
 /// placed and polygons split.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
-    /// Bytes of the file.
+    /// Bytes of the file; of an archive also those of all files that are unpacked.
     pub max_bytes: u64,
+    /// Files in an archive.
+    pub max_archive_entries: u64,
     /// Triangles.
     pub max_triangles: u64,
     /// Vertices as the file stores them, before coincident points are joined.
@@ -26,6 +28,7 @@ impl Default for Limits {
     fn default() -> Self {
         Self {
             max_bytes: 4 << 30,
+            max_archive_entries: 4096,
             max_triangles: 20_000_000,
             max_vertices: 60_000_000,
             max_json_objects: 500_000,

@@ -1,4 +1,5 @@
-//! Bytes in, bytes out: GLB, glTF, PLY, OBJ and STL files become a [`Mesh`] and back.
+//! Bytes in, bytes out: GLB, glTF, PLY, OBJ and STL files, alone or in a ZIP archive with the files
+//! that they name, become a [`Mesh`] and back.
 //!
 //! Reading has three steps: a reader turns bytes into a *soup* (patches of indexed triangles with
 //! attributes, in world space), [`weld`] joins bit-equal positions into vertices and equal
@@ -18,14 +19,18 @@
 //! element as an object of its own and loops over elements without properties as often as the
 //! header says; `tobj` and `stl_io` report no line, so an error could not name its place, and
 //! `stl_io` takes every file that begins with `solid ` for text. The readers here are small.
+//! `meshopt` decodes compressed
+//! buffer views, after the checks that its assertions would stop the process at. `rawzip` walks archives without allocating, so that what a file states is checked here first.
 //!
 //! Knows nothing of files on disk, networks, pictures or jobs.
 
+mod archive;
 mod error;
 mod format;
 mod gltf;
 mod intern;
 mod limits;
+mod mtl;
 mod obj;
 mod picture;
 mod ply;
@@ -63,7 +68,7 @@ pub struct Ingest {
 /// # Errors
 /// [`IoError`] names file, place and remedy; [`IoError::code`] is stable.
 pub fn read(name: &str, bytes: &[u8], limits: &Limits) -> Result<Ingest, IoError> {
-    let source = Source { file: name, bytes, limits };
+    let source = Source { file: name, bytes, limits, beside: None };
     source.check_size()?;
     let format = format::detect(&source)?;
     let mut soup = (format.read)(&source)?;

@@ -1,7 +1,8 @@
 //! Wavefront OBJ: `v` (with colours), `vt`, `vn`, `f` (polygons, negative indices), `usemtl`.
 //!
-//! Polygons are split into fans from their first corner. `usemtl` makes materials by name, all
-//! white: material libraries are not read. Colours after the coordinates are taken as sRGB, as
+//! Polygons are split into fans from their first corner. `usemtl` makes materials by name, which
+//! the material libraries define (see `mtl`) where the file is in an archive with them; alone, it
+//! makes all white. Colours after the coordinates are taken as sRGB, as
 //! Blender takes them. Points, lines, curves, groups and smoothing groups are passed over.
 //! Positions that are not finite are refused where they stand, used or not.
 
@@ -12,6 +13,7 @@ use glam::DVec3;
 use super::{
     IoError,
     intern::Interner,
+    mtl,
     soup::{Attribute, Patch, PatchMaterials, Soup},
     source::Source,
 };
@@ -61,6 +63,8 @@ struct Reader<'a> {
     material_ids: BTreeMap<Vec<u8>, u32>,
     material: u32,
     polygon: Vec<u32>,
+    /// Entries of the archive.
+    libraries: Vec<usize>,
     soup: Soup,
 }
 
@@ -79,6 +83,7 @@ impl<'a> Reader<'a> {
             material_ids: BTreeMap::new(),
             material: 0,
             polygon: Vec::new(),
+            libraries: Vec::new(),
             soup: Soup::of_one_instance(),
         }
     }
@@ -105,8 +110,7 @@ impl<'a> Reader<'a> {
                 Ok(())
             }
             Some(b"mtllib") => {
-                let text = "material libraries are not read: all materials are white";
-                self.soup.notes.add("mtllib_ignored", text);
+                self.name_library(line.get(6..).unwrap_or(&[]).trim_ascii());
                 Ok(())
             }
             _ => Ok(()),
@@ -186,6 +190,44 @@ impl<'a> Reader<'a> {
         }
     }
 
+    /// `mtllib`: one name, which may have spaces, or several.
+    fn name_library(&mut self, names: &[u8]) {
+        let Some(archive) = self.source.beside else {
+            let text = "material libraries are other files: all materials are white; send a ZIP of \
+                        the OBJ with its MTL and images";
+            self.soup.notes.add("mtllib_ignored", text);
+            return;
+        };
+        let names = String::from_utf8_lossy(names);
+        let found = match archive.find(&names) {
+            Some(entry) => vec![(&*names, Some(entry))],
+            None => names.split_ascii_whitespace().map(|n| (n, archive.find(n))).collect(),
+        };
+        for (name, entry) in found {
+            match entry {
+                Some(entry) if self.libraries.contains(&entry) => {}
+                Some(entry) => self.libraries.push(entry),
+                None => {
+                    let shown: String = name.chars().take(80).collect();
+                    let text = format!("'{shown}' is not in the archive; pack it with the model");
+                    self.soup.notes.add("mtllib_missing", text);
+                }
+            }
+        }
+    }
+
+    /// Materials as the libraries have them.
+    fn define_materials(&mut self) -> Result<(), IoError> {
+        let Some(archive) = self.source.beside.filter(|_| !self.libraries.is_empty()) else {
+            return Ok(());
+        };
+        let library = mtl::read(archive, &self.libraries, &mut self.soup.notes)?;
+        let names = self.material_ids.iter();
+        let mut names: Vec<(u32, &[u8])> = names.map(|(name, id)| (*id, &name[..])).collect();
+        names.sort_unstable();
+        mtl::apply(archive, &library, &names, &mut self.soup)
+    }
+
     /// `N` numbers of which `at_least` must be there; the others are NaN, or 0 in pairs.
     fn numbers<'w, const N: usize>(
         &self,
@@ -215,6 +257,7 @@ impl<'a> Reader<'a> {
     }
 
     fn finish(mut self) -> Result<Soup, IoError> {
+        self.define_materials()?;
         let corners = std::mem::replace(&mut self.corners, Interner::new(3)).into_words();
         let column = |k: usize| corners.iter().skip(k).step_by(3).map(|i| *i as usize);
         let mut attributes = Vec::new();

@@ -1,6 +1,6 @@
 //! The file that is being read, and the errors about it.
 
-use super::{IoError, Limits};
+use super::{IoError, Limits, archive::Archive};
 
 /// Bytes, their name and what they may ask for.
 #[derive(Clone, Copy, Debug)]
@@ -8,9 +8,17 @@ pub(super) struct Source<'a> {
     pub(super) file: &'a str,
     pub(super) bytes: &'a [u8],
     pub(super) limits: &'a Limits,
+    /// The archive that the file is in, where it may name others.
+    pub(super) beside: Option<&'a Archive<'a>>,
 }
 
 impl Source<'_> {
+    /// Bytes of the file and of what has been unpacked beside it.
+    pub(super) fn n_bytes(&self) -> u64 {
+        let own = self.bytes.len() as u64;
+        self.beside.map_or(own, |archive| own.saturating_add(archive.n_unpacked()))
+    }
+
     /// Refuses an empty file and one over the limit.
     pub(super) fn check_size(&self) -> Result<(), IoError> {
         let count = self.bytes.len() as u64;

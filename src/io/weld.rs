@@ -327,7 +327,7 @@ mod tests {
 
     fn soup_of(patches: Vec<Patch>) -> Welded {
         let limits = Limits::default();
-        let source = Source { file: "test", bytes: &[], limits: &limits };
+        let source = Source { file: "test", bytes: &[], limits: &limits, beside: None };
         let mut soup = Soup::default();
         for patch in patches {
             soup.push(&source, patch).unwrap();

@@ -1,6 +1,6 @@
 //! The GLB container and the buffers of a document.
 
-use std::borrow::Cow;
+use std::sync::Arc;
 
 use base64::{
     Engine,
@@ -9,9 +9,14 @@ use base64::{
 };
 use gltf::json;
 
-use super::{IoError, REMEDY, Source};
+use super::{
+    IoError, REMEDY, Source,
+    compressed::{Carrier, CompressedViews},
+};
 
 const JSON_CHUNK: u32 = 0x4E4F_534A;
+/// What to do where another file is needed.
+pub(super) const PACK_REMEDY: &str = "pack the model as GLB, or in a ZIP with its files";
 const BIN_CHUNK: u32 = 0x004E_4942;
 
 /// The JSON text and the binary chunk.
@@ -63,46 +68,72 @@ fn word(bytes: &[u8], at: usize) -> Option<u32> {
 
 /// The content of each buffer, or why it cannot be had (said only when something needs it, since
 /// a buffer may hold images alone).
-pub(super) struct Buffers<'a>(Vec<Buffer<'a>>);
+pub(super) struct Buffers<'a> {
+    contents: Vec<Buffer<'a>>,
+    compressed: CompressedViews,
+}
 
 enum Buffer<'a> {
-    Bytes(Cow<'a, [u8]>),
+    Bytes(Content<'a>),
     External(String),
     Absent,
 }
 
+enum Content<'a> {
+    Chunk(&'a [u8]),
+    Decoded(Vec<u8>),
+    /// A file of the archive that the document is in.
+    Beside(Arc<[u8]>),
+}
+
+impl Content<'_> {
+    fn bytes(&self) -> &[u8] {
+        match self {
+            Self::Chunk(bytes) => bytes,
+            Self::Decoded(bytes) => bytes,
+            Self::Beside(bytes) => bytes,
+        }
+    }
+}
+
 impl<'a> Buffers<'a> {
-    /// Takes the binary chunk and decodes data URIs; nothing is fetched.
+    /// Takes the binary chunk and decodes data URIs; of other files, only those in the same archive
+    /// are read.
     pub(super) fn load(
         source: &Source<'_>,
         root: &json::Root,
         bin: Option<&'a [u8]>,
+        views: Vec<Carrier>,
     ) -> Result<Self, IoError> {
         let mut buffers = Vec::new();
         for (i, buffer) in root.buffers.iter().enumerate() {
+            let beside = |uri: &String| Some((source.beside?, source.beside?.find_uri(uri)?));
             let content = match (&buffer.uri, bin) {
                 (Some(uri), _) if uri.starts_with("data:") => {
-                    Cow::Owned(decode(uri).ok_or_else(|| {
+                    Content::Decoded(decode(uri).ok_or_else(|| {
                         source.malformed(format!("buffer {i}"), "its base64 text is bad", REMEDY)
                     })?)
+                }
+                (Some(uri), _) if let Some((archive, entry)) = beside(uri) => {
+                    Content::Beside(archive.unpack(entry)?)
                 }
                 (Some(uri), _) => {
                     buffers.push(Buffer::External(uri.chars().take(80).collect()));
                     continue;
                 }
-                (None, Some(bin)) if i == 0 => Cow::Borrowed(bin),
+                (None, Some(bin)) if i == 0 => Content::Chunk(bin),
                 (None, _) => {
                     buffers.push(Buffer::Absent);
                     continue;
                 }
             };
-            let (need, have) = (buffer.byte_length.0, content.len() as u64);
+            let (need, have) = (buffer.byte_length.0, content.bytes().len() as u64);
             if have < need {
                 return Err(source.truncated(format!("buffer {i}"), need, have));
             }
             buffers.push(Buffer::Bytes(content));
         }
-        Ok(Self(buffers))
+        Ok(Self { contents: buffers, compressed: CompressedViews::new(views) })
     }
 
     /// The bytes of a buffer view.
@@ -117,26 +148,42 @@ impl<'a> Buffers<'a> {
             let n = root.buffer_views.len() as u64;
             return Err(source.out_of_range(place, "buffer views", index as i64, n));
         };
-        let bytes = match self.0.get(view.buffer.value()) {
-            Some(Buffer::Bytes(bytes)) => bytes,
+        let place = format!("{place}: buffer view {index}");
+        if let Some(compressed) = self.compressed.get(index) {
+            let (begin, length) = (compressed.byte_offset, compressed.byte_length);
+            let encoded = self.range(source, compressed.buffer, begin, length, &place)?;
+            return self.compressed.decode(source, index, encoded, view.byte_length.0, &place);
+        }
+        let begin = view.byte_offset.map_or(0, |o| o.0);
+        self.range(source, view.buffer.value(), begin, view.byte_length.0, &place)
+    }
+
+    fn range(
+        &self,
+        source: &Source<'_>,
+        buffer: usize,
+        begin: u64,
+        length: u64,
+        place: &str,
+    ) -> Result<&[u8], IoError> {
+        let bytes: &[u8] = match self.contents.get(buffer) {
+            Some(Buffer::Bytes(content)) => content.bytes(),
             Some(Buffer::External(uri)) => {
                 let feature = format!("{place}: the external buffer '{uri}'");
-                return Err(source.unsupported(feature, "pack the model as GLB"));
+                return Err(source.unsupported(feature, PACK_REMEDY));
             }
             Some(Buffer::Absent) => {
                 let problem = "its buffer has neither a URI nor a binary chunk";
                 return Err(source.malformed(place, problem, "pack the model as GLB"));
             }
             None => {
-                let (i, n) = (view.buffer.value() as i64, self.0.len() as u64);
-                return Err(source.out_of_range(place, "buffers", i, n));
+                let n = self.contents.len() as u64;
+                return Err(source.out_of_range(place, "buffers", buffer as i64, n));
             }
         };
-        let begin = view.byte_offset.map_or(0, |o| o.0);
-        let end = begin.saturating_add(view.byte_length.0);
-        bytes.get(begin as usize..end as usize).ok_or_else(|| {
-            source.truncated(format!("{place}: buffer view {index}"), end, bytes.len() as u64)
-        })
+        let end = begin.saturating_add(length);
+        let found = bytes.get(begin as usize..end as usize);
+        found.ok_or_else(|| source.truncated(place, end, bytes.len() as u64))
     }
 }
 

@@ -10,6 +10,7 @@
 //! some dangling indices); every index is looked up with a check instead.
 
 mod accessor;
+mod compressed;
 mod container;
 mod material;
 mod primitive;
@@ -44,12 +45,15 @@ struct Document<'a> {
     buffers: Buffers<'a>,
 }
 
-/// What the schema drops: materials are kept word for word, textures have extensions.
+/// What the schema drops: materials are kept word for word, textures and buffer views have
+/// extensions.
 #[derive(Default, Deserialize)]
 #[serde(default)]
 struct Verbatim {
     materials: Vec<Value>,
     textures: Vec<Value>,
+    #[serde(rename = "bufferViews")]
+    buffer_views: Vec<compressed::Carrier>,
 }
 
 fn read_document(source: &Source<'_>, json: &[u8], bin: Option<&[u8]>) -> Result<Soup, IoError> {
@@ -66,7 +70,7 @@ fn read_document(source: &Source<'_>, json: &[u8], bin: Option<&[u8]>) -> Result
     let verbatim: Verbatim = json::deserialize::from_slice(json).map_err(malformed)?;
     let mut soup = Soup::default();
     check_extensions(source, &root)?;
-    let buffers = Buffers::load(source, &root, bin)?;
+    let buffers = Buffers::load(source, &root, bin, verbatim.buffer_views)?;
     let document = Document { source, root, buffers };
     texture::read_images(&document, &mut soup);
     texture::read_textures(&document, &verbatim.textures, &mut soup);
@@ -82,7 +86,9 @@ fn read_document(source: &Source<'_>, json: &[u8], bin: Option<&[u8]>) -> Result
 }
 
 /// Required extensions that change nothing here, or that are read.
-const HARMLESS: [&str; 5] = [
+const HARMLESS: [&str; 7] = [
+    "EXT_meshopt_compression",
+    "KHR_meshopt_compression",
     "KHR_mesh_quantization",
     "KHR_texture_transform",
     "KHR_lights_punctual",
@@ -91,16 +97,11 @@ const HARMLESS: [&str; 5] = [
 ];
 
 /// Required extensions that are known, with what to do about them.
-const REFUSED: [(&str, &str); 5] = [
+const REFUSED: [(&str, &str); 3] = [
     (
         "KHR_draco_mesh_compression",
         "save the model without Draco compression, for example with gltf-transform copy",
     ),
-    (
-        "EXT_meshopt_compression",
-        "save the model without meshopt compression, for example with gltf-transform copy",
-    ),
-    ("KHR_meshopt_compression", "save the model without meshopt compression"),
     ("KHR_texture_basisu", "save the model with PNG or JPEG textures instead of KTX2"),
     ("EXT_mesh_gpu_instancing", "save the model with one node per instance"),
 ];

@@ -1,7 +1,7 @@
 //! Textures, samplers and images, under the indices that they have in the file.
 //!
-//! What cannot be had (files beside this one, broken references) is left empty with a note:
-//! geometry is worth reading without it. Nothing is fetched.
+//! What cannot be had (files that are not in the same archive, broken references) is left empty
+//! with a note: geometry is worth reading without it. Nothing is fetched.
 
 use std::{collections::HashMap, sync::Arc};
 
@@ -12,7 +12,11 @@ use gltf::json::{
 };
 use serde_json::Value;
 
-use super::{super::picture::mime_of, Document, Soup, container::decode};
+use super::{
+    super::picture::mime_of,
+    Document, Soup,
+    container::{PACK_REMEDY, decode},
+};
 use crate::mesh::{Image, Texture, TextureUse, Wrap};
 
 /// The schema's mark of a texture without a source.
@@ -23,14 +27,14 @@ pub(super) fn read_images(document: &Document<'_>, soup: &mut Soup) {
     let mut store = Store {
         document,
         views: HashMap::new(),
-        // Images that overlap could take more than the file has.
-        n_left: document.source.bytes.len(),
+        // Images that overlap could take more than there is.
+        n_left: document.source.n_bytes() as usize,
     };
     for (i, image) in document.root.images.iter().enumerate() {
         let name = image.name.clone().unwrap_or_default();
         let bytes = store.bytes_of(image, i).unwrap_or_else(|reason| {
             let label = label("image", i, &name);
-            let text = format!("{label} is left out: {reason}; pack the model as GLB");
+            let text = format!("{label} is left out: {reason}; {PACK_REMEDY}");
             soup.notes.add("image_missing", text);
             Arc::default()
         });
@@ -55,6 +59,10 @@ impl Store<'_> {
                 decode(uri).map(Arc::from).ok_or("its base64 text is bad")?
             }
             (None, Some(uri)) => {
+                let archive = self.document.source.beside;
+                if let Some((archive, entry)) = archive.and_then(|a| Some((a, a.find_uri(uri)?))) {
+                    return archive.unpack(entry).map_err(|e| e.to_string());
+                }
                 let shown: String = uri.chars().take(80).collect();
                 return Err(format!("it is in another file, '{shown}'"));
             }

@@ -71,7 +71,6 @@ fn what_this_build_cannot_read_is_named_with_a_remedy() {
     let require = |name: &'static str| move |j: &mut Value| j["extensionsRequired"] = json!([name]);
     for (name, remedy) in [
         ("KHR_draco_mesh_compression", "without Draco"),
-        ("EXT_meshopt_compression", "without meshopt"),
         ("KHR_texture_basisu", "PNG or JPEG"),
         ("ACME_secret", "without this extension"),
     ] {

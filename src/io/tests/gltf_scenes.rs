@@ -163,3 +163,69 @@ fn normals_go_with_the_surface() {
     let want = [-0.5_f32.sqrt(), 0.0, 0.5_f32.sqrt()];
     assert!(normal.iter().zip(want).all(|(a, b)| (a - b).abs() < 1e-6), "{normal:?}");
 }
+
+/// KHR_mesh_quantization: integers of every kind, those that are not normalized brought back by
+/// the node or by the texture's transform.
+#[test]
+fn quantized_attributes_of_every_kind() {
+    let mut bin = Vec::new();
+    for [x, y] in [[0_i16, 0], [-2000, 0], [0, 1000], [-2000, 1000]] {
+        bin.extend([x, y, 0, 0].iter().flat_map(|v| v.to_le_bytes()));
+    }
+    bin.extend([0, 0, 129, 0].repeat(4));
+    bin.extend(
+        [-32_768_i16, 0, 0, 32_767]
+            .iter()
+            .flat_map(|v| v.to_le_bytes())
+            .collect::<Vec<_>>()
+            .repeat(4),
+    );
+    let uvs = [[0_u16, 0], [4095, 0], [0, 4095], [4095, 2048]];
+    bin.extend(uvs.as_flattened().iter().flat_map(|v| v.to_le_bytes()));
+    bin.extend([0, 255, 0, 0, 128, 51, 0, 0].repeat(2));
+    bin.extend([129, 127, 0, 0].repeat(4));
+    let accessor = |view: usize, component: u32, kind: &str, normalized: bool| {
+        json!({ "bufferView": view, "componentType": component, "count": 4, "type": kind,
+                "normalized": normalized })
+    };
+    let mut json = square_json();
+    json["extensionsRequired"] = json!(["KHR_mesh_quantization", "KHR_texture_transform"]);
+    json["nodes"][0]["scale"] = json!([0.001, 0.001, 0.001]);
+    json["nodes"][0]["translation"] = json!([2, 0, 0]);
+    json["meshes"][0]["primitives"] = json!([{ "mode": 5, "material": 0, "attributes": {
+        "POSITION": 0, "NORMAL": 1, "TANGENT": 2, "TEXCOORD_0": 3, "TEXCOORD_1": 4,
+        "TEXCOORD_2": 5 } }]);
+    json["materials"] = json!([{ "pbrMetallicRoughness": { "baseColorTexture": { "index": 0,
+        "extensions": { "KHR_texture_transform": { "scale": [1.0 / 4095.0, 1.0 / 4095.0] } } } } }]);
+    json["textures"] = json!([{}]);
+    json["buffers"][0]["byteLength"] = bin.len().into();
+    json["bufferViews"] = [(0, 32, 8), (32, 16, 4), (48, 32, 8), (80, 16, 4), (96, 16, 4), (112, 16, 4)]
+        .map(|(offset, length, stride)| {
+            json!({ "buffer": 0, "byteOffset": offset, "byteLength": length, "byteStride": stride })
+        })
+        .to_vec()
+        .into();
+    json["accessors"] = json!([
+        accessor(0, 5122, "VEC3", false),
+        accessor(1, 5120, "VEC3", true),
+        accessor(2, 5122, "VEC4", true),
+        accessor(3, 5123, "VEC2", false),
+        accessor(4, 5121, "VEC2", true),
+        accessor(5, 5120, "VEC2", true),
+    ]);
+    let mesh = load("x.glb", &glb(&json, &bin)).unwrap().mesh;
+    let corner = mesh.positions.iter().position(|p| p.distance(DVec3::Y) < 1e-6);
+    let corner = corner.unwrap() as u32;
+    let at = mesh.faces.as_flattened().iter().position(|v| *v == corner).unwrap();
+    let wedge = WedgeId(mesh.face_wedges.as_flattened()[at]);
+    let get = |semantic| mesh.layer(semantic).unwrap().get(wedge);
+    assert_eq!(get(Semantic::Normal), &[0.0, 0.0, -1.0]);
+    assert_eq!(get(Semantic::Tangent), &[-1.0, 0.0, 0.0, 1.0], "no less than -1");
+    assert_eq!(get(Semantic::TexCoord(0)), &[4095.0, 2048.0]);
+    assert_eq!(get(Semantic::TexCoord(1)), &[128.0 / 255.0, 0.2]);
+    assert_eq!(get(Semantic::TexCoord(2)), &[-1.0, 1.0]);
+    let uv = get(Semantic::TexCoord(0));
+    let seen = mesh.materials[0].base_texture.unwrap().transform;
+    let seen = seen.map(|[a, b, c]| a * uv[0] + b * uv[1] + c);
+    assert!((seen[0] - 1.0).abs() < 1e-6 && (seen[1] - 2048.0 / 4095.0).abs() < 1e-6, "{seen:?}");
+}

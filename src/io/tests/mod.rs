@@ -1,6 +1,8 @@
 //! Readers and writers together: formats, hostile input, round trips, the real models.
 
+mod archives;
 mod bad_input;
+mod compressed;
 mod formats;
 mod gltf_scenes;
 mod models;

@@ -3,7 +3,10 @@
 
 use proptest::prelude::*;
 
-use super::*;
+use super::{
+    archives::{deflated, pack, stored},
+    compressed, *,
+};
 use crate::io::{PlyPositions, write_glb, write_obj, write_ply};
 
 /// A few files of each format, small enough that most bytes matter.
@@ -28,7 +31,21 @@ fn seeds() -> Vec<(&'static str, Vec<u8>)> {
         json["materials"][0]["normalTexture"] = json!({ "index": 0, "texCoord": 0 });
     });
     let textured_again = write_glb(&load("a.glb", &textured).unwrap().mesh).unwrap();
+    let mtl = "newmtl a\nKd .5 1 0\nd .5\nmap_Kd -s 2 -o .5 .5 -clamp on -mm 0 1 a.png\n";
+    let with_library = format!("mtllib a.mtl\n{obj}");
+    let obj_files = [
+        stored("a.obj", with_library.as_bytes()),
+        stored("a.mtl", mtl.as_bytes()),
+        deflated("a.png", &png()),
+    ];
+    let mut beside = square_json();
+    beside["buffers"][0]["uri"] = "a.bin".into();
+    let gltf_files =
+        [stored("a.gltf", beside.to_string().as_bytes()), deflated("a.bin", &square_bin())];
     vec![
+        ("a.zip", pack(&obj_files)),
+        ("a.zip", pack(&gltf_files)),
+        ("a.glb", compressed::seed()),
         ("a.glb", square_glb()),
         ("a.glb", textured),
         ("a.glb", textured_again),
@@ -91,7 +108,7 @@ proptest! {
 
     #[test]
     fn any_bytes_never_panic(
-        name in prop::sample::select(vec!["a.glb", "a.gltf", "a.ply", "a.obj", "a.stl", "a"]),
+        name in prop::sample::select(vec!["a.glb", "a.gltf", "a.ply", "a.obj", "a.stl", "a.zip", "a"]),
         bytes in prop::collection::vec(any::<u8>(), 0..200),
     ) {
         let _ = load(name, &bytes);
