@@ -13,7 +13,7 @@ use crate::render::{
     view::{Projection, View},
 };
 
-use super::slopes::{Slope, Slopes, outer};
+use super::slopes::{Drag, Slopes};
 
 /// No triangle: the background.
 const NOTHING: u32 = u32::MAX;
@@ -211,11 +211,10 @@ impl<'s> Drawn<'s> {
     fn inside(&self, seen: &[Seen], motions: &[[DVec3; 2]], sum: &mut Slopes) {
         for ((face, shade), seen) in self.scene.faces.iter().zip(&self.shades).zip(seen) {
             let Some(face) = face.filter(|_| seen.n > 0.0) else { continue };
-            if self.paints.len() > 0 {
-                let corners = face.vertices.iter().zip(&seen.drags);
-                corners.for_each(|(v, drag)| {
-                    drag.add_to(&mut sum.places[*v as usize], motions[*v as usize])
-                });
+            if !self.paints.is_empty() {
+                for (v, drag) in face.vertices.iter().zip(&seen.drags) {
+                    drag.add_to(&mut sum.places[*v as usize], motions[*v as usize]);
+                }
             }
             match self.scene.params.shading {
                 Shading::Flat => {
@@ -287,30 +286,6 @@ fn draw(depths: &mut [i32], ids: &mut [u32], size: usize, id: u32, s: &Setup) ->
         }
     });
     is_seen
-}
-
-/// What changes as a corner takes a texture along: slopes in the picture, and their squares and product.
-#[derive(Clone, Copy, Default)]
-struct Drag {
-    slope: DVec2,
-    squares: DVec2,
-    product: f64,
-}
-
-impl Drag {
-    /// Adds a pixel whose luminance is too much by `off`, and grows by `by` for each pixel of motion the other way.
-    fn add(&mut self, off: f64, by: DVec2) {
-        self.slope += 2.0 * off * by;
-        self.squares += 2.0 * by * by;
-        self.product += 2.0 * by.x * by.y;
-    }
-
-    /// `dx` and `dy` are how the corner moves in the picture.
-    fn add_to(&self, at: &mut Slope, [dx, dy]: [DVec3; 2]) {
-        at.gradient -= self.slope.x * dx + self.slope.y * dy;
-        at.bend += outer(self.squares.x * dx + self.product * dy, dx);
-        at.bend += outer(self.product * dx + self.squares.y * dy, dy);
-    }
 }
 
 /// Adds what changes inside a triangle with interpolated luminance.

@@ -12,7 +12,7 @@
 //! 1. sums over views run in view order, so the result does not depend on threads;
 //! 2. nothing is judged here: whether a step along a slope helps, the pictures must tell.
 
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;
 
 use crate::render::{Reference, Scene, Shading};
@@ -37,6 +37,30 @@ impl Slope {
     pub(super) fn add(&mut self, slope: f64, bend: f64, by: DVec3) {
         self.gradient += slope * by;
         self.bend += outer(bend * by, by);
+    }
+}
+
+/// What changes as a corner takes a texture along: slopes in the picture, and their squares and product.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Drag {
+    slope: DVec2,
+    squares: DVec2,
+    product: f64,
+}
+
+impl Drag {
+    /// Adds a pixel whose luminance is too much by `off`, and grows by `by` for each pixel of motion the other way.
+    pub(super) fn add(&mut self, off: f64, by: DVec2) {
+        self.slope += 2.0 * off * by;
+        self.squares += 2.0 * by * by;
+        self.product += 2.0 * by.x * by.y;
+    }
+
+    /// `dx` and `dy` are how the corner moves in the picture.
+    pub(super) fn add_to(&self, at: &mut Slope, [dx, dy]: [DVec3; 2]) {
+        at.gradient -= self.slope.x * dx + self.slope.y * dy;
+        at.bend += outer(self.squares.x * dx + self.product * dy, dx);
+        at.bend += outer(self.product * dx + self.squares.y * dy, dy);
     }
 }
 
@@ -127,6 +151,6 @@ fn crossing_with(a: DVec3) -> DMat3 {
     )
 }
 
-pub(super) fn outer(a: DVec3, b: DVec3) -> DMat3 {
+fn outer(a: DVec3, b: DVec3) -> DMat3 {
     DMat3::from_cols(a * b.x, a * b.y, a * b.z)
 }
