@@ -81,6 +81,11 @@ impl Canvas {
     }
 
     /// The page as a PNG file.
+    /// The pixels, row after row from the top.
+    pub(super) fn pixels(&self) -> &[Rgb] {
+        &self.pixels
+    }
+
     pub(super) fn png(&self) -> Vec<u8> {
         let mut bytes = Vec::new();
         let (width, height) = (self.width as u32, self.height as u32);

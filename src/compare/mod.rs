@@ -11,9 +11,11 @@ pub mod sample;
 mod scan;
 pub mod sheet;
 mod texture;
+mod torus;
 
 pub use evaluate::{Comparison, Params, Reference, compare, report_text};
 pub use plot::{CurvePoint, PlotParams, PlotX, energy_plot};
 pub use raster::{Appearance, Look, Shading};
 pub use sample::sample_mesh;
 pub use sheet::{Axis, SheetParams, SheetView, all_round_views, sheet, sheet_multi, sheets};
+pub use torus::textured_torus;
