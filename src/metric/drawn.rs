@@ -33,6 +33,8 @@ pub struct Drawn<'s> {
     sides: Vec<[Side; 3]>,
     /// By triangle; empty where there are no textures.
     paints: Vec<Option<Painted>>,
+    /// By pixel: what the texture seen there lets through; empty where there are no textures.
+    texels: Vec<f32>,
 }
 
 /// How a triangle is lit.
@@ -77,6 +79,7 @@ impl<'s> Drawn<'s> {
             shades: vec![Shade::default(); scene.faces.len()],
             sides: vec![<[Side; 3]>::default(); scene.faces.len()],
             paints: vec![None; if scene.texels.is_empty() { 0 } else { scene.faces.len() }],
+            texels: Vec::new(),
         };
         for_each_setup(
             scene,
@@ -92,6 +95,11 @@ impl<'s> Drawn<'s> {
                 }
             },
         );
+        if !this.paints.is_empty() {
+            let seen =
+                |p| this.paint(this.ids[p]).map_or(1.0, |paint| this.look_up(paint, p) as f32);
+            this.texels = (0..size * size).map(seen).collect();
+        }
         this
     }
 
@@ -238,19 +246,31 @@ impl<'s> Drawn<'s> {
 
     /// What the texture lets through, 0 to 1.
     fn texel(&self, id: u32, pixel: usize) -> f64 {
-        self.texel_beside(id, pixel, [0, 0])
+        match self.texels.get(pixel) {
+            Some(texel) if self.ids[pixel] == id => f64::from(*texel),
+            _ => self.paint(id).map_or(1.0, |paint| self.look_up(paint, pixel)),
+        }
     }
 
-    fn texel_beside(&self, id: u32, pixel: usize, by: [i32; 2]) -> f64 {
-        let Some(paint) = self.paint(id) else { return 1.0 };
-        let (i, j) = ((pixel % self.size) as i32 + by[0], (pixel / self.size) as i32 + by[1]);
+    fn look_up(&self, paint: &Painted, pixel: usize) -> f64 {
+        let (i, j) = ((pixel % self.size) as i32, (pixel / self.size) as i32);
         f64::from(paint.at(self.scene.texels.words(), i, j)) / 255.0
     }
 
-    /// How that changes from pixel to pixel, rightwards and downwards.
+    /// How that changes from pixel to pixel, rightwards and downwards, as far as the same triangle is seen beside
+    /// the pixel.
     fn slope(&self, id: u32, pixel: usize) -> DVec2 {
-        let at = |by: [i32; 2]| self.texel_beside(id, pixel, by);
-        0.5 * DVec2::new(at([1, 0]) - at([-1, 0]), at([0, 1]) - at([0, -1]))
+        let here = f64::from(self.texels[pixel]);
+        let along = |step: usize, is_inside: [bool; 2]| {
+            let beside = [pixel.wrapping_sub(step), pixel + step];
+            let seen = [0, 1].map(|k| is_inside[k] && self.ids.get(beside[k]) == Some(&id));
+            let at = |k: usize| if seen[k] { f64::from(self.texels[beside[k]]) } else { here };
+            let n = f64::from(u8::from(seen[0]) + u8::from(seen[1]));
+            if n > 0.0 { (at(1) - at(0)) / n } else { 0.0 }
+        };
+        let column = pixel % self.size;
+        let inside = [column > 0, column + 1 < self.size];
+        DVec2::new(along(1, inside), along(self.size, [pixel >= self.size, true]))
     }
 
     /// [`Self::luminance`] without the texture.
