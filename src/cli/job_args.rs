@@ -13,8 +13,11 @@ use super::{exit::Failure, optimize_args::OptimizeArgs, picture_args::PictureArg
 #[derive(Args, Clone, Debug)]
 pub(crate) struct JobArgs {
     /// Triangles of each level of detail, separated by commas.
-    #[arg(long, required = true, value_delimiter = ',', value_name = "N")]
+    #[arg(long, required_unless_present = "ratio", value_delimiter = ',', value_name = "N")]
     triangles: Vec<u32>,
+    /// The same as shares of the model's triangles, such as 0.25,0.1.
+    #[arg(long, value_delimiter = ',', value_name = "SHARE")]
+    ratio: Vec<f64>,
     /// How the levels are made: by what they look like, by geometry alone, or by vertex clustering
     /// (crude; one level).
     #[arg(
@@ -56,7 +59,8 @@ pub(crate) struct JobArgs {
 }
 
 /// Fields of the specification whose flag has another name.
-const FLAGS: [(&str, &str); 10] = [
+const FLAGS: [(&str, &str); 11] = [
+    ("ratios", "--ratio"),
     ("optimize", "--optimize-evaluations"),
     ("optimize.max_evaluations", "--optimize-evaluations"),
     ("optimize.max_secs", "--optimize-seconds"),
@@ -74,6 +78,7 @@ impl JobArgs {
     pub(crate) fn spec(self) -> Result<Spec, Failure> {
         let spec = Spec {
             triangles: self.triangles,
+            ratios: self.ratio,
             method: self.simplify,
             effort: self.effort,
             topology: self.topology,
@@ -138,6 +143,15 @@ mod tests {
     #[test]
     fn the_defaults_are_those_of_the_specification() {
         assert_eq!(spec(&["--triangles=500,100"]).unwrap(), Spec::new(vec![500, 100]));
+    }
+
+    #[test]
+    fn shares_stand_in_for_triangles() {
+        assert_eq!(spec(&["--ratio=0.25,0.1"]).unwrap().ratios, [0.25, 0.1]);
+        assert!(Probe::try_parse_from(["probe"]).is_err());
+        let text = spec(&["--triangles=9", "--ratio=0.5,1"]).unwrap_err().error.to_string();
+        assert!(text.lines().any(|line| line.starts_with("--ratio, number 2: ")), "{text}");
+        assert!(text.lines().any(|line| line.starts_with("--ratio: ")), "{text}");
     }
 
     #[test]

@@ -66,6 +66,7 @@ pub fn spec_to_wire(spec: &Spec) -> v1::JobSpec {
 fn simplify_to_wire(spec: &Spec) -> v1::SimplifySpec {
     v1::SimplifySpec {
         triangles: spec.triangles.clone(),
+        ratios: spec.ratios.clone(),
         method: to_wire(&METHODS, spec.method),
         effort: to_wire(&EFFORTS, spec.effort),
         topology: to_wire(&TOPOLOGIES, spec.topology),
@@ -137,6 +138,7 @@ pub fn spec_from_wire(wire: Option<v1::JobSpec>) -> (Spec, Vec<Fault>) {
 fn simplify_from_wire(wire: v1::SimplifySpec, faults: &mut Vec<Fault>) -> Spec {
     let default = Spec::new(wire.triangles);
     Spec {
+        ratios: wire.ratios,
         method: from_wire(&METHODS, wire.method, "method", faults),
         effort: from_wire(&EFFORTS, wire.effort, "effort", faults),
         topology: from_wire(&TOPOLOGIES, wire.topology, "topology", faults),
@@ -226,10 +228,13 @@ mod tests {
         let looks = (pick(&SHADINGS), pick(&PROJECTIONS));
         let words = (pick(&METHODS), pick(&EFFORTS), pick(&TOPOLOGIES), looks, pick(&SOLVERS));
         let views = prop::collection::vec(prop::array::uniform3(-1.0..1.0f64), 0..3);
-        let counts = (prop::collection::vec(any::<u32>(), 0..4), prop::array::uniform3(0..99u32));
+        let ratios = prop::collection::vec(0.0..1.0f64, 0..3);
+        let levels = (prop::collection::vec(any::<u32>(), 0..4), ratios);
+        let counts = (levels, prop::array::uniform3(0..99u32));
         (numbers, words, views, counts, any::<u64>(), any::<u64>()).prop_map(
-            |(x, words, custom_views, (triangles, n), seed, max_evaluations)| Spec {
+            |(x, words, custom_views, ((triangles, ratios), n), seed, max_evaluations)| Spec {
                 triangles,
+                ratios,
                 simplified: None,
                 method: words.0,
                 effort: words.1,
