@@ -37,6 +37,10 @@ pub(crate) struct JobArgs {
         value_parser = word::<Topology>(&["auto", "preserve", "free"])
     )]
     topology: Topology,
+    /// Simplify no further by pictures than to so much of d2, in percent, even where a target is not
+    /// reached; 0 for no limit.
+    #[arg(long, default_value_t = 0.0, value_name = "PERCENT")]
+    max_d2: f64,
     #[command(flatten)]
     pictures: PictureArgs,
     /// The image-driven stage starts at this multiple of the largest level.
@@ -84,6 +88,7 @@ impl JobArgs {
             topology: self.topology,
             start_factor: self.start_factor,
             lambda: self.lambda,
+            max_d2: self.max_d2,
             render: self.pictures.render(),
             optimize: self.optimize.optimize(),
             max_evaluations: self.max_evaluations,
@@ -161,6 +166,7 @@ mod tests {
         let read = spec(&flags).unwrap();
         assert_eq!((read.method, read.topology), (Method::Memoryless, Topology::Free));
         assert_eq!(read.render.custom_views, [[-1.0, 0.0, 0.5]]);
+        assert_eq!(spec(&["--triangles=9", "--max-d2=1.5"]).unwrap().max_d2, 1.5);
         for bad in
             ["--simplify=magic", "--topology=bound", "--view=1,2", "--view=a,b,c", "--triangles=-1"]
         {

@@ -152,6 +152,10 @@ pub struct Spec {
     /// Weight of the surface against the boundary in the memoryless cost, 0 to 1.
     #[serde(default = "default_lambda")]
     pub lambda: f64,
+    /// The image-driven stage ends before a collapse that would lift d2 on the run-time views, in
+    /// percent of full scale, above this; 0 means none.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub max_d2: f64,
     /// The run-time pictures.
     #[serde(default)]
     pub render: Render,
@@ -169,6 +173,9 @@ pub struct Spec {
     pub seed: u64,
 }
 
+fn is_zero(x: &f64) -> bool {
+    *x == 0.0
+}
 fn default_start_factor() -> f64 {
     4.0
 }
@@ -188,6 +195,7 @@ impl Spec {
             topology: Topology::default(),
             start_factor: default_start_factor(),
             lambda: default_lambda(),
+            max_d2: 0.0,
             render: Render::default(),
             optimize: Optimize::default(),
             max_evaluations: 0,
@@ -241,6 +249,8 @@ impl Spec {
         range(&mut faults, "start_factor", self.start_factor, 1.0, 1000.0);
         range(&mut faults, "lambda", self.lambda, 0.0, 1.0);
         range(&mut faults, "max_secs", self.max_secs, 0.0, 1e9);
+        range(&mut faults, "max_d2", self.max_d2, 0.0, 100.0);
+        self.validate_max_d2(&mut faults);
         self.render.validate(&mut faults);
         self.optimize.validate(self.render.shading == Shading::Smooth, &mut faults);
         faults
@@ -259,6 +269,20 @@ impl Spec {
         faults.extend(
             broken.map(|(field, _, text)| Fault { field: field.into(), text: text.into() }),
         );
+    }
+
+    /// Whether there is a stage that knows of d2.
+    fn validate_max_d2(&self, faults: &mut Vec<Fault>) {
+        let text = match (&self.simplified, self.method) {
+            (Some(_), _) => "a mesh that is simplified already keeps its triangles: leave this out",
+            (None, Method::Memoryless | Method::Cluster) => {
+                "only image-driven simplification looks at pictures: leave this out, or ask for that"
+            }
+            (None, Method::Image) => return,
+        };
+        if self.max_d2 > 0.0 {
+            faults.push(Fault { field: "max_d2".into(), text: text.into() });
+        }
     }
 
     fn validate_levels(&self, faults: &mut Vec<Fault>) {
@@ -392,6 +416,18 @@ mod tests {
     }
 
     #[test]
+    fn d2_is_for_those_who_look_at_pictures() {
+        let mut spec = Spec { max_d2: 2.5, ..Spec::new(vec![10]) };
+        assert_eq!(spec.validate(), []);
+        for method in [Method::Memoryless, Method::Cluster] {
+            spec.method = method;
+            assert_eq!(fields(&spec), ["max_d2"]);
+        }
+        spec = Spec { max_d2: f64::NAN, ..Spec::new(vec![10]) };
+        assert_eq!(fields(&spec), ["max_d2"]);
+    }
+
+    #[test]
     fn custom_views_replace_the_count() {
         let mut spec = Spec::new(vec![10]);
         spec.render.n_views = 7;
@@ -417,8 +453,9 @@ mod tests {
         assert_eq!((spec.validate(), spec.n_levels()), (vec![], 1));
         spec.triangles = vec![9];
         spec.ratios = vec![0.5];
+        spec.max_d2 = 1.0;
         spec.optimize.max_evaluations = Some(0);
-        assert_eq!(fields(&spec), ["triangles", "ratios", "optimize"]);
+        assert_eq!(fields(&spec), ["triangles", "ratios", "optimize", "max_d2"]);
     }
 
     #[test]

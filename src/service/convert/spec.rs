@@ -72,6 +72,7 @@ fn simplify_to_wire(spec: &Spec) -> v1::SimplifySpec {
         topology: to_wire(&TOPOLOGIES, spec.topology),
         start_factor: Some(spec.start_factor),
         surface_weight: Some(spec.lambda),
+        max_d2: spec.max_d2,
         render: Some(render_to_wire(&spec.render)),
         optimization: Some(optimization_to_wire(&spec.optimize)),
         max_evaluations: spec.max_evaluations,
@@ -144,6 +145,7 @@ fn simplify_from_wire(wire: v1::SimplifySpec, faults: &mut Vec<Fault>) -> Spec {
         topology: from_wire(&TOPOLOGIES, wire.topology, "topology", faults),
         start_factor: wire.start_factor.unwrap_or(default.start_factor),
         lambda: wire.surface_weight.unwrap_or(default.lambda),
+        max_d2: wire.max_d2,
         render: render_from_wire(&wire.render.unwrap_or_default(), faults),
         optimize: optimization_from_wire(&wire.optimization.unwrap_or_default(), faults),
         max_evaluations: wire.max_evaluations,
@@ -241,6 +243,7 @@ mod tests {
                 topology: words.2,
                 start_factor: x[0],
                 lambda: x[1],
+                max_d2: x[4] / 7.0,
                 render: Render {
                     n_views: n[0],
                     custom_views,
