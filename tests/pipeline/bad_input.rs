@@ -105,6 +105,8 @@ fn a_limit_of_d2_ends_the_chain_with_the_reason() {
         assert!(level["d2_percent"].as_f64().unwrap() <= 4.0, "{level}");
     }
     assert_eq!(coarse["triangles"], coarsest["triangles"]);
+    let radii = |level: &serde_json::Value| level["switch_distance_radii"].as_f64().unwrap();
+    assert!(radii(&fine) > 0.0 && radii(&coarse) > radii(&fine), "{report}");
     assert!(done.has_note("TARGET_NOT_REACHED"), "{:?}", done.notes);
 }
 
