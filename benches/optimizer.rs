@@ -481,6 +481,7 @@ fn by_pictures(stage: &Stage<'_>, n: u32) -> Mesh {
         ahead: 1,
         search_rounds: 5,
         max_evaluations: 0,
+        max_energy: None,
     };
     Simplifier::new(&mut mesh, &mut objective, params)
         .run_to(n as usize, &mut |_| ControlFlow::Continue(()))

@@ -13,8 +13,11 @@ use super::{exit::Failure, optimize_args::OptimizeArgs, picture_args::PictureArg
 #[derive(Args, Clone, Debug)]
 pub(crate) struct JobArgs {
     /// Triangles of each level of detail, separated by commas.
-    #[arg(long, required = true, value_delimiter = ',', value_name = "N")]
+    #[arg(long, required_unless_present = "ratio", value_delimiter = ',', value_name = "N")]
     triangles: Vec<u32>,
+    /// The same as shares of the model's triangles, such as 0.25,0.1.
+    #[arg(long, value_delimiter = ',', value_name = "SHARE")]
+    ratio: Vec<f64>,
     /// How the levels are made: by what they look like, by geometry alone, or by vertex clustering
     /// (crude; one level).
     #[arg(
@@ -34,6 +37,10 @@ pub(crate) struct JobArgs {
         value_parser = word::<Topology>(&["auto", "preserve", "free"])
     )]
     topology: Topology,
+    /// Simplify no further by pictures than to so much of d2, in percent, even where a target is not
+    /// reached; 0 for no limit.
+    #[arg(long, default_value_t = 0.0, value_name = "PERCENT")]
+    max_d2: f64,
     #[command(flatten)]
     pictures: PictureArgs,
     /// The image-driven stage starts at this multiple of the largest level.
@@ -56,7 +63,8 @@ pub(crate) struct JobArgs {
 }
 
 /// Fields of the specification whose flag has another name.
-const FLAGS: [(&str, &str); 10] = [
+const FLAGS: [(&str, &str); 11] = [
+    ("ratios", "--ratio"),
     ("optimize", "--optimize-evaluations"),
     ("optimize.max_evaluations", "--optimize-evaluations"),
     ("optimize.max_secs", "--optimize-seconds"),
@@ -74,11 +82,13 @@ impl JobArgs {
     pub(crate) fn spec(self) -> Result<Spec, Failure> {
         let spec = Spec {
             triangles: self.triangles,
+            ratios: self.ratio,
             method: self.simplify,
             effort: self.effort,
             topology: self.topology,
             start_factor: self.start_factor,
             lambda: self.lambda,
+            max_d2: self.max_d2,
             render: self.pictures.render(),
             optimize: self.optimize.optimize(),
             max_evaluations: self.max_evaluations,
@@ -141,12 +151,22 @@ mod tests {
     }
 
     #[test]
+    fn shares_stand_in_for_triangles() {
+        assert_eq!(spec(&["--ratio=0.25,0.1"]).unwrap().ratios, [0.25, 0.1]);
+        assert!(Probe::try_parse_from(["probe"]).is_err());
+        let text = spec(&["--triangles=9", "--ratio=0.5,1"]).unwrap_err().error.to_string();
+        assert!(text.lines().any(|line| line.starts_with("--ratio, number 2: ")), "{text}");
+        assert!(text.lines().any(|line| line.starts_with("--ratio: ")), "{text}");
+    }
+
+    #[test]
     fn words_and_directions_are_read() {
         let flags =
             ["--triangles=9", "--simplify=memoryless", "--topology=free", "--view=-1,0,0.5"];
         let read = spec(&flags).unwrap();
         assert_eq!((read.method, read.topology), (Method::Memoryless, Topology::Free));
         assert_eq!(read.render.custom_views, [[-1.0, 0.0, 0.5]]);
+        assert_eq!(spec(&["--triangles=9", "--max-d2=1.5"]).unwrap().max_d2, 1.5);
         for bad in
             ["--simplify=magic", "--topology=bound", "--view=1,2", "--view=a,b,c", "--triangles=-1"]
         {

@@ -61,8 +61,10 @@ pub(crate) fn event_json(event: &Event) -> Value {
 pub(crate) fn job_line(job: &v1::Job) -> String {
     let state = state_of(job).map_or("UNKNOWN", State::name);
     let spec = convert::spec_from_wire(job.spec.clone()).0;
-    let triangles: Vec<_> = spec.triangles.iter().map(ToString::to_string).collect();
-    let what = spec.simplified.map_or_else(|| triangles.join(","), |i| i.file_name);
+    let triangles = spec.triangles.iter().map(ToString::to_string);
+    let shares = spec.ratios.iter().map(ToString::to_string);
+    let levels: Vec<_> = triangles.chain(shares).collect();
+    let what = spec.simplified.map_or_else(|| levels.join(","), |i| i.file_name);
     let percent = job.fraction * 100.0;
     format!("{}  {state:<9}  {percent:>3.0}%  {what}  {}\n", job.name, job.file_name)
 }

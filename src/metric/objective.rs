@@ -392,6 +392,13 @@ fn normal_after(mesh: &EditMesh, plan: &Collapse, v: VertexId) -> DVec3 {
     sum.normalize_or_zero()
 }
 
+/// The highest sum of squared 8-bit differences over `n_pixels` at which d2 is no more than `percent` of
+/// full scale.
+pub fn energy_of_d2(percent: f64, n_pixels: u64) -> u64 {
+    let difference = 255.0 / 100.0 * percent;
+    (difference * difference * n_pixels as f64) as u64
+}
+
 /// d2 in percent of full scale from a sum of squared 8-bit differences over `n_pixels`.
 pub fn d2_percent(energy: u64, n_pixels: u64) -> f64 {
     100.0 / 255.0 * (energy as f64 / n_pixels.max(1) as f64).sqrt()

@@ -80,6 +80,36 @@ pub fn surface_distance(
     })
 }
 
+/// An original to measure many meshes by, by evenly spread points alone: quicker than
+/// [`surface_distance`] for each.
+pub struct Ruler {
+    triangles: Vec<Triangle>,
+    tree: Bvh,
+    params: SurfaceParams,
+}
+
+impl Ruler {
+    /// Gets ready to measure.
+    pub fn new(original: &Mesh, params: SurfaceParams) -> Self {
+        let (triangles, tree) = prepare(original);
+        Self { triangles, tree, params }
+    }
+
+    /// Mean of the two directions' mean distances, in the model's units. None when a mesh has no triangles.
+    pub fn mean(&self, simplified: &Mesh) -> Option<f64> {
+        if self.triangles.is_empty() || simplified.faces.is_empty() {
+            return None;
+        }
+        let (triangles, tree) = prepare(simplified);
+        let mean = |from: &[Triangle], to: &Bvh| {
+            let n = self.params.samples.max(1) as usize;
+            let spread = Spread::new(from, n, self.params.seed);
+            sums_over_runs(n, |i| spread.point(from, i), to).distance / n as f64
+        };
+        Some(f64::midpoint(mean(&self.triangles, &tree), mean(&triangles, &self.tree)))
+    }
+}
+
 struct Direction {
     mean: f64,
     mean_square: f64,

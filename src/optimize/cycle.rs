@@ -128,6 +128,7 @@ impl Alternation<'_> {
             ahead: 1,
             search_rounds: SEARCH_ROUNDS,
             max_evaluations: 0,
+            max_energy: None,
         };
         let (done, total) = (self.outcome.evaluations, self.params.max_evaluations);
         let mut on = |step: Step<'_>| match step {

@@ -8,7 +8,7 @@ use crate::{
     memoryless::{self, may_collapse},
     mesh::{EdgeId, EdgeTable, EditMesh, Sample, Stage, Step, VertexId},
     metric::Objective,
-    render::RenderError,
+    render::{Move, RenderError},
 };
 
 use super::{
@@ -46,6 +46,8 @@ pub struct Params {
     pub search_rounds: u32,
     /// Stop after so many evaluations; 0 means never.
     pub max_evaluations: u64,
+    /// Stop before a collapse that would raise the energy to more than this.
+    pub max_energy: Option<u64>,
 }
 
 /// What ended a run.
@@ -57,6 +59,8 @@ pub enum StoppedBy {
     NoLegalCollapse,
     /// The budget of evaluations is spent.
     Evaluations,
+    /// The next collapse would have raised the energy too far.
+    Energy,
     /// The caller broke off.
     Caller,
 }
@@ -140,13 +144,12 @@ impl<'a> Simplifier<'a> {
             return Ok(Outcome { n_faces: start, collapses, stopped_by: StoppedBy::Caller });
         }
         while self.mesh.n_faces() > target {
-            if self.is_budget_spent() {
-                stopped_by = StoppedBy::Evaluations;
-                break;
-            }
-            let Some(edge) = self.next_edge()? else {
-                stopped_by = StoppedBy::NoLegalCollapse;
-                break;
+            let edge = match self.show_next()? {
+                Ok(edge) => edge,
+                Err(reason) => {
+                    stopped_by = reason;
+                    break;
+                }
             };
             let flow = self.collapse(edge, on)?;
             collapses += 1;
@@ -242,7 +245,44 @@ impl<'a> Simplifier<'a> {
         }
     }
 
-    /// Makes one collapse, follows it everywhere, and tells the caller.
+    /// Makes the next collapse in the pictures, which are ahead of the mesh then; or says why there
+    /// is none.
+    fn show_next(&mut self) -> Result<Result<EdgeId, StoppedBy>, SimplifyError> {
+        loop {
+            if self.is_budget_spent() {
+                return Ok(Err(StoppedBy::Evaluations));
+            }
+            let Some(edge) = self.next_edge()? else {
+                return Ok(Err(StoppedBy::NoLegalCollapse));
+            };
+            let [keep, drop] = self.edges.ends(edge);
+            let plan = self.mesh.plan_collapse(keep, drop, self.places[edge.index()]);
+            let Some(mv) = self.objective.collapse_move(self.mesh, &plan) else {
+                self.queue.remove(edge);
+                continue;
+            };
+            let is_within = self.commit_within(&mv)?;
+            return Ok(if is_within { Ok(edge) } else { Err(StoppedBy::Energy) });
+        }
+    }
+
+    /// Makes a move, unless it raises the energy to more than is allowed: then nothing has changed.
+    /// Keys of the queue would not do, which do not know what happened to a pixel elsewhere.
+    fn commit_within(&mut self, mv: &Move) -> Result<bool, SimplifyError> {
+        let Some(most) = self.params.max_energy else {
+            self.objective.commit(mv)?;
+            return Ok(true);
+        };
+        let back = self.objective.inverse(self.mesh, mv);
+        let delta = self.objective.commit(mv)?;
+        if delta <= 0 || self.objective.energy() <= most {
+            return Ok(true);
+        }
+        self.objective.commit(&back)?;
+        Ok(false)
+    }
+
+    /// Follows a collapse that the pictures show already, everywhere, and tells the caller.
     fn collapse(
         &mut self,
         edge: EdgeId,
@@ -250,12 +290,6 @@ impl<'a> Simplifier<'a> {
     ) -> Result<ControlFlow<()>, SimplifyError> {
         let [keep, drop] = self.edges.ends(edge);
         let to = self.places[edge.index()];
-        let plan = self.mesh.plan_collapse(keep, drop, to);
-        let Some(mv) = self.objective.collapse_move(self.mesh, &plan) else {
-            self.queue.remove(edge);
-            return Ok(ControlFlow::Continue(()));
-        };
-        self.objective.commit(&mv)?;
         let record = self.mesh.collapse(keep, drop, to);
         self.objective.follow(self.mesh);
         let change = self.edges.apply(self.mesh, &record);

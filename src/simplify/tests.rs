@@ -8,9 +8,11 @@ use super::{Outcome, Params, Policy, Rules, Simplifier, StoppedBy};
 use crate::{
     memoryless,
     mesh::{EditMesh, Mesh, Step, Topology},
-    metric::{Objective, Pictures, bounding_sphere, reference_pictures, scene_of_edit_mesh},
+    metric::{
+        Objective, Pictures, bounding_sphere, energy_of_d2, reference_pictures, scene_of_edit_mesh,
+    },
     render::{
-        RenderParams, Shading, Twin,
+        Evaluator, RenderParams, Shading, Twin,
         view::{Projection, ViewParams, cameras, directions},
     },
 };
@@ -62,8 +64,17 @@ fn pictures(mesh: &Mesh, shading: Shading) -> Pictures {
     Pictures::of(mesh, params, cameras(&bounding_sphere(mesh), &view_params))
 }
 
-/// Runs to `target`; returns the outcome, d2 in percent, evaluations and the mesh.
-fn run(policy: Policy, target: usize, max_evaluations: u64) -> (Outcome, f64, u64, Mesh) {
+/// When a run ends.
+#[derive(Clone, Copy, Default)]
+struct Ends {
+    target: usize,
+    max_evaluations: u64,
+    max_energy: Option<u64>,
+}
+
+/// Returns the outcome, d2 in percent, evaluations and the mesh.
+fn run(policy: Policy, ends: Ends) -> (Outcome, f64, u64, Mesh) {
+    let Ends { target, max_evaluations, max_energy } = ends;
     let original = cube(6);
     let pictures = pictures(&original, Shading::Flat);
     let reference = reference_pictures(&original, &pictures);
@@ -78,6 +89,7 @@ fn run(policy: Policy, target: usize, max_evaluations: u64) -> (Outcome, f64, u6
         ahead: 4,
         search_rounds: 2,
         max_evaluations,
+        max_energy,
     };
     let mut edits = 0;
     let mut simplifier = Simplifier::new(&mut mesh, &mut objective, params);
@@ -89,6 +101,9 @@ fn run(policy: Policy, target: usize, max_evaluations: u64) -> (Outcome, f64, u6
         .unwrap();
     assert_eq!(edits, outcome.collapses);
     assert!(mesh.validate().is_ok());
+    // The pictures show the mesh, whatever was tried last.
+    let shown = Twin::new(&scene_of_edit_mesh(&mesh, &pictures), &reference);
+    assert_eq!(objective.energy(), shown.energy());
     let d2 = objective.d2_percent();
     (outcome, d2, objective.evaluations(), mesh.snapshot())
 }
@@ -96,7 +111,7 @@ fn run(policy: Policy, target: usize, max_evaluations: u64) -> (Outcome, f64, u6
 #[test]
 fn what_does_not_show_goes_first() {
     for policy in [Policy::Lazy, Policy::Mixed, Policy::Eager] {
-        let (outcome, d2, _, mesh) = run(policy, 12, 0);
+        let (outcome, d2, _, mesh) = run(policy, Ends { target: 12, ..Ends::default() });
         assert_eq!(outcome.stopped_by, StoppedBy::Target, "{policy:?}");
         assert_eq!(mesh.faces.len(), 12);
         // A cube again: what is left of the difference is the snapping of edges to the lattice.
@@ -106,14 +121,33 @@ fn what_does_not_show_goes_first() {
 
 #[test]
 fn budgets_are_kept_and_said() {
-    let (outcome, _, evaluations, mesh) = run(Policy::Eager, 12, 5000);
+    let (outcome, _, evaluations, mesh) =
+        run(Policy::Eager, Ends { target: 12, max_evaluations: 5000, ..Ends::default() });
     assert_eq!(outcome.stopped_by, StoppedBy::Evaluations);
     assert!(mesh.faces.len() > 12 && evaluations < 5600, "{evaluations}");
 }
 
 #[test]
 fn a_target_below_what_topology_allows_is_not_reached() {
-    let (outcome, _, _, mesh) = run(Policy::Lazy, 1, 0);
+    let (outcome, _, _, mesh) = run(Policy::Lazy, Ends { target: 1, ..Ends::default() });
     assert_eq!(outcome.stopped_by, StoppedBy::NoLegalCollapse);
     assert_eq!(mesh.faces.len(), 4, "a tetrahedron is the last closed surface");
+}
+
+#[test]
+fn no_collapse_lifts_the_energy_above_what_is_allowed() {
+    let n_pixels = 8 * 128 * 128;
+    for policy in [Policy::Lazy, Policy::Eager] {
+        for percent in [0.1, 2.0] {
+            let most = energy_of_d2(percent, n_pixels);
+            let ends = Ends { target: 4, max_energy: Some(most), ..Ends::default() };
+            let (outcome, d2, _, mesh) = run(policy, ends);
+            assert_eq!(outcome.stopped_by, StoppedBy::Energy, "{policy:?}, {percent}%");
+            assert!(d2 <= percent, "{policy:?}: {d2}% of {percent}%");
+            // The collapse that was not made.
+            let target = mesh.faces.len() - 2;
+            let (_, d2, ..) = run(policy, Ends { target, ..Ends::default() });
+            assert!(d2 > percent, "{policy:?}: {d2}% of {percent}% and one more");
+        }
+    }
 }

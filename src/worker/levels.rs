@@ -27,6 +27,8 @@ pub enum StoppedBy {
     NoLegalCollapse,
     /// The budget of evaluations is spent.
     Evaluations,
+    /// The next collapse would have lifted d2 above what is allowed.
+    D2,
     /// The cap on wall-clock time is reached.
     Seconds,
     /// The energy has fallen as far as was asked (optimization).
@@ -51,6 +53,7 @@ impl StoppedBy {
             simplify::StoppedBy::Target => Self::Triangles,
             simplify::StoppedBy::NoLegalCollapse => Self::NoLegalCollapse,
             simplify::StoppedBy::Evaluations => Self::Evaluations,
+            simplify::StoppedBy::Energy => Self::D2,
             simplify::StoppedBy::Caller => Self::Seconds,
         }
     }
@@ -187,6 +190,10 @@ impl Levels {
                     "no collapse is left that leaves a triangle"
                 }
                 (StoppedBy::Evaluations, _) => "the evaluations allowed are spent; allow more",
+                (StoppedBy::D2, _) => {
+                    "the next collapse would leave d2 above the limit; allow more (optimization may \
+                     bring it below)"
+                }
                 (StoppedBy::Seconds, _) => "the seconds allowed are over; allow more",
                 _ => continue,
             };

@@ -25,3 +25,4 @@ mod results;
 mod simplifying;
 mod studio;
 pub mod supervisor;
+mod switching;

@@ -6,7 +6,7 @@ use crate::{
     jobs::spec::{self, Effort, Projection, Shading, Spec},
     memoryless,
     mesh::{Mesh, Topology},
-    metric::{Pictures, bounding_sphere},
+    metric::{Pictures, bounding_sphere, energy_of_d2},
     optimize,
     render::{
         self, RenderParams,
@@ -49,6 +49,7 @@ pub fn image(spec: &Spec) -> simplify::Params {
         ahead,
         search_rounds,
         max_evaluations: spec.max_evaluations,
+        max_energy: (spec.max_d2 > 0.0).then(|| energy_of_d2(spec.max_d2, n_pixels(spec) as u64)),
     }
 }
 

@@ -151,7 +151,7 @@ pub fn run(
     let (original, simplified) =
         (read(&inputs.original)?, inputs.simplified.as_ref().map(read).transpose()?);
     let ingest = original.report;
-    let spec = &settled(asked, &ingest);
+    let spec = &settled(asked, &ingest, original.mesh.faces.len());
     let original = prepared(spec, original.mesh);
     let critic = OnceLock::new();
     let base = simplifying::base(spec, &original, simplified.as_ref());
@@ -187,13 +187,13 @@ pub fn run(
 }
 
 /// The specification, with what was left to the model decided.
-fn settled(asked: &Spec, model: &io::IngestReport) -> Spec {
+fn settled(asked: &Spec, model: &io::IngestReport, n_original: usize) -> Spec {
     let topology = match asked.topology {
         Topology::Auto if model.components > 1 || model.non_manifold_edges > 0 => Topology::Free,
         Topology::Auto => Topology::Preserve,
         explicit => explicit,
     };
-    Spec { topology, ..asked.clone() }
+    Spec { topology, ..asked.clone() }.resolved(n_original)
 }
 
 fn chosen_topology(topology: Topology) -> &'static str {

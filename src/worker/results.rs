@@ -16,6 +16,7 @@ use super::{
     levels::{Level, Levels, Optimized, StoppedBy},
     pipeline::PipelineError,
     recorder::Recorder,
+    switching::Switching,
 };
 
 /// What a stage cost.
@@ -127,6 +128,8 @@ struct LevelReport<'a> {
     d2_percent: Option<f64>,
     energy: Option<u64>,
     stopped_by: StoppedBy,
+    /// Distance from the centre, in bounding radii, from which on the level may stand in for the original.
+    switch_distance_radii: Option<f64>,
     /// Absent where the level was not optimized.
     #[serde(skip_serializing_if = "Option::is_none")]
     optimization: Option<&'a Optimized>,
@@ -144,10 +147,11 @@ pub fn write_all(
     fs::create_dir_all(out_dir)?;
     let mut out = Output { dir: out_dir, recorder };
     let mut reports = Vec::new();
+    let switching = Switching::new(original);
     for (i, level) in levels.in_order().enumerate() {
         let file = format!("lod-{i}.glb");
         out.write(&file, "model/gltf-binary", &io::write_glb(&level.mesh)?)?;
-        reports.push(level_report(file, level));
+        reports.push(level_report(file, level, &switching));
     }
     out.write("progressive.lkpm", "application/octet-stream", &progressive)?;
     write_pictures(&mut out, attempt.spec, original, levels)?;
@@ -186,7 +190,7 @@ impl Output<'_, '_> {
     }
 }
 
-fn level_report(file: String, level: &Level) -> LevelReport<'_> {
+fn level_report<'a>(file: String, level: &'a Level, switching: &Switching) -> LevelReport<'a> {
     LevelReport {
         file,
         asked: level.target,
@@ -195,6 +199,7 @@ fn level_report(file: String, level: &Level) -> LevelReport<'_> {
         d2_percent: level.d2,
         energy: level.energy,
         stopped_by: level.stopped_by,
+        switch_distance_radii: switching.distance_radii(&level.mesh),
         optimization: level.optimized.as_ref(),
     }
 }

@@ -2,7 +2,7 @@
 
 use lookalike::{
     io::{Limits, read},
-    jobs::spec::{Method, Optimize, Spec},
+    jobs::spec::{Method, Optimize, Render, Spec},
     worker::pipeline::{Inputs, PipelineError},
 };
 
@@ -86,6 +86,28 @@ fn a_spent_budget_stops_with_the_reason_and_keeps_what_there_is() {
     for level in ["lod-0.glb", "lod-1.glb"] {
         assert!(read(level, &done.files[level], &Limits::default()).is_ok());
     }
+}
+
+#[test]
+fn a_limit_of_d2_ends_the_chain_with_the_reason() {
+    let optimize = Optimize { max_evaluations: Some(0), ..Optimize::default() };
+    let render = Render { n_views: 4, image_size: 64, ..Render::default() };
+    let shares = Spec { ratios: vec![0.005, 0.1, 0.001], ..Spec::new(Vec::new()) };
+    let spec = Spec { max_d2: 4.0, optimize, render, ..shares };
+    let done = job(&spec, "sample.glb", &sample(6000), "cpu");
+    assert!(done.result.is_ok(), "{:?}", done.result);
+    let report = done.report();
+    let [coarse, fine, coarsest] = [0, 1, 2].map(|i| report["levels"][i].clone());
+    assert_eq!(fine["stopped_by"], "triangles");
+    for level in [&coarse, &coarsest] {
+        assert_eq!(level["stopped_by"], "d2");
+        assert!(level["triangles"].as_u64() > level["asked"].as_u64(), "{level}");
+        assert!(level["d2_percent"].as_f64().unwrap() <= 4.0, "{level}");
+    }
+    assert_eq!(coarse["triangles"], coarsest["triangles"]);
+    let radii = |level: &serde_json::Value| level["switch_distance_radii"].as_f64().unwrap();
+    assert!(radii(&fine) > 0.0 && radii(&coarse) > radii(&fine), "{report}");
+    assert!(done.has_note("TARGET_NOT_REACHED"), "{:?}", done.notes);
 }
 
 #[test]

@@ -254,6 +254,8 @@ def test_keywords_become_fields() -> None:
     wanted = spec_pb2.SimplifySpec(triangles=[8, 2], effort=spec_pb2.EFFORT_BEST, render=render)
     assert spec == wanted
     assert simplify_spec(7) == spec_pb2.SimplifySpec(triangles=[7])
+    assert simplify_spec(ratios=(0.5, 0.1)) == spec_pb2.SimplifySpec(ratios=[0.5, 0.1])
+    assert simplify_spec(ratios=0.5) == spec_pb2.SimplifySpec(ratios=[0.5])
 
 
 @pytest.mark.parametrize(

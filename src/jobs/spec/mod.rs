@@ -128,8 +128,12 @@ pub struct Input {
 #[serde(deny_unknown_fields)]
 pub struct Spec {
     /// Triangles of each level of detail, in the order the caller wants them back; none where
-    /// `simplified` is given.
+    /// `ratios` or `simplified` is given.
+    #[serde(default)]
     pub triangles: Vec<u32>,
+    /// The same as shares of the original's triangles, each above 0 and below 1.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub ratios: Vec<f64>,
     /// A mesh that some tool has simplified the original to.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub simplified: Option<Input>,
@@ -148,6 +152,10 @@ pub struct Spec {
     /// Weight of the surface against the boundary in the memoryless cost, 0 to 1.
     #[serde(default = "default_lambda")]
     pub lambda: f64,
+    /// The image-driven stage ends before a collapse that would lift d2 on the run-time views, in
+    /// percent of full scale, above this; 0 means none.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub max_d2: f64,
     /// The run-time pictures.
     #[serde(default)]
     pub render: Render,
@@ -165,6 +173,9 @@ pub struct Spec {
     pub seed: u64,
 }
 
+fn is_zero(x: &f64) -> bool {
+    *x == 0.0
+}
 fn default_start_factor() -> f64 {
     4.0
 }
@@ -177,12 +188,14 @@ impl Spec {
     pub fn new(triangles: Vec<u32>) -> Self {
         Self {
             triangles,
+            ratios: Vec::new(),
             simplified: None,
             method: Method::default(),
             effort: Effort::default(),
             topology: Topology::default(),
             start_factor: default_start_factor(),
             lambda: default_lambda(),
+            max_d2: 0.0,
             render: Render::default(),
             optimize: Optimize::default(),
             max_evaluations: 0,
@@ -215,45 +228,88 @@ impl Spec {
 
     /// How many levels the job makes.
     pub fn n_levels(&self) -> usize {
-        if self.simplified.is_some() { 1 } else { self.triangles.len() }
+        if self.simplified.is_some() { 1 } else { self.triangles.len().max(self.ratios.len()) }
+    }
+
+    /// The same job with numbers of triangles in place of shares of so many, which the original has.
+    #[must_use]
+    pub fn resolved(mut self, n_original: usize) -> Self {
+        let count = |ratio: f64| (ratio * n_original as f64).round().max(1.0) as u32;
+        self.triangles.extend(self.ratios.drain(..).map(count));
+        self
     }
 
     /// Every fault of the specification; empty when it can run.
     pub fn validate(&self) -> Vec<Fault> {
         let mut faults = Vec::new();
-        self.validate_levels(&mut faults);
+        match self.simplified {
+            Some(_) => self.validate_given(&mut faults),
+            None => self.validate_levels(&mut faults),
+        }
         range(&mut faults, "start_factor", self.start_factor, 1.0, 1000.0);
         range(&mut faults, "lambda", self.lambda, 0.0, 1.0);
         range(&mut faults, "max_secs", self.max_secs, 0.0, 1e9);
+        range(&mut faults, "max_d2", self.max_d2, 0.0, 100.0);
+        self.validate_max_d2(&mut faults);
         self.render.validate(&mut faults);
         self.optimize.validate(self.render.shading == Shading::Smooth, &mut faults);
         faults
     }
 
+    /// Of a mesh that is simplified already.
+    fn validate_given(&self, faults: &mut Vec<Fault>) {
+        let kept = "a mesh that is simplified already keeps its triangles: leave this out";
+        let off = "0 turns off all that this job would do: ask for more, or leave it out";
+        let rules = [
+            ("triangles", !self.triangles.is_empty(), kept),
+            ("ratios", !self.ratios.is_empty(), kept),
+            ("optimize", self.optimize.is_off(), off),
+        ];
+        let broken = rules.into_iter().filter(|(_, is_broken, _)| *is_broken);
+        faults.extend(
+            broken.map(|(field, _, text)| Fault { field: field.into(), text: text.into() }),
+        );
+    }
+
+    /// Whether there is a stage that knows of d2.
+    fn validate_max_d2(&self, faults: &mut Vec<Fault>) {
+        let text = match (&self.simplified, self.method) {
+            (Some(_), _) => "a mesh that is simplified already keeps its triangles: leave this out",
+            (None, Method::Memoryless | Method::Cluster) => {
+                "only image-driven simplification looks at pictures: leave this out, or ask for that"
+            }
+            (None, Method::Image) => return,
+        };
+        if self.max_d2 > 0.0 {
+            faults.push(Fault { field: "max_d2".into(), text: text.into() });
+        }
+    }
+
     fn validate_levels(&self, faults: &mut Vec<Fault>) {
-        let levels = self.triangles.len();
-        let mut fault = |field: String, text: String| faults.push(Fault { field, text });
-        if self.simplified.is_some() {
-            if levels > 0 {
-                let text = "a mesh that is simplified already keeps its triangles: leave this out";
-                fault("triangles".into(), text.into());
-            }
-            if self.optimize.is_off() {
-                let text = "0 turns off all that this job would do: ask for more, or leave it out";
-                fault("optimize".into(), text.into());
-            }
-            return;
+        let levels = self.n_levels();
+        let field = if self.ratios.is_empty() { "triangles" } else { "ratios" };
+        let mut fault = |field: &str, text: String| {
+            faults.push(Fault { field: field.into(), text });
+        };
+        if !self.ratios.is_empty() && !self.triangles.is_empty() {
+            let text = "numbers of triangles are given too: leave one of the two out";
+            fault(field, text.into());
         }
         if levels == 0 || levels > MAX_LEVELS {
-            let text = format!("{levels} levels of detail: ask for 1 to {MAX_LEVELS}");
-            fault("triangles".into(), text);
+            fault(field, format!("{levels} levels of detail: ask for 1 to {MAX_LEVELS}"));
         } else if self.method == Method::Cluster && levels > 1 {
             let text = format!("{levels} levels: vertex clustering makes one, so ask for one");
-            fault("triangles".into(), text);
+            fault(field, text);
         }
-        for i in (0..levels).filter(|&i| self.triangles[i] == 0) {
+        for (i, _) in self.triangles.iter().enumerate().filter(|(_, n)| **n == 0) {
             let text = "0 triangles is not a level of detail: ask for at least 1".into();
-            fault(format!("triangles[{i}]"), text);
+            fault(&format!("triangles[{i}]"), text);
+        }
+        for (i, ratio) in self.ratios.iter().enumerate() {
+            if !(*ratio > 0.0 && *ratio < 1.0) {
+                let text = format!("{ratio} of the triangles: use a share above 0 and below 1");
+                fault(&format!("ratios[{i}]"), text);
+            }
         }
     }
 }
@@ -347,6 +403,31 @@ mod tests {
     }
 
     #[test]
+    fn levels_are_numbers_or_shares_of_triangles() {
+        let mut spec = Spec { ratios: vec![0.25, 1e-9], ..Spec::new(Vec::new()) };
+        assert_eq!((spec.validate(), spec.n_levels()), (vec![], 2));
+        let read: Spec = serde_json::from_str(r#"{"ratios": [0.25, 1e-9]}"#).unwrap();
+        assert_eq!(read, spec);
+        assert_eq!(read.resolved(1002), Spec::new(vec![251, 1]));
+        spec.triangles = vec![7];
+        spec.ratios.extend([0.0, 1.0, f64::NAN]);
+        assert_eq!(fields(&spec), ["ratios", "ratios[2]", "ratios[3]", "ratios[4]"]);
+        assert_eq!(fields(&Spec::new(Vec::new())), ["triangles"]);
+    }
+
+    #[test]
+    fn d2_is_for_those_who_look_at_pictures() {
+        let mut spec = Spec { max_d2: 2.5, ..Spec::new(vec![10]) };
+        assert_eq!(spec.validate(), []);
+        for method in [Method::Memoryless, Method::Cluster] {
+            spec.method = method;
+            assert_eq!(fields(&spec), ["max_d2"]);
+        }
+        spec = Spec { max_d2: f64::NAN, ..Spec::new(vec![10]) };
+        assert_eq!(fields(&spec), ["max_d2"]);
+    }
+
+    #[test]
     fn custom_views_replace_the_count() {
         let mut spec = Spec::new(vec![10]);
         spec.render.n_views = 7;
@@ -371,8 +452,10 @@ mod tests {
         let mut spec = Spec::optimizing(input());
         assert_eq!((spec.validate(), spec.n_levels()), (vec![], 1));
         spec.triangles = vec![9];
+        spec.ratios = vec![0.5];
+        spec.max_d2 = 1.0;
         spec.optimize.max_evaluations = Some(0);
-        assert_eq!(fields(&spec), ["triangles", "optimize"]);
+        assert_eq!(fields(&spec), ["triangles", "ratios", "optimize", "max_d2"]);
     }
 
     #[test]

@@ -66,11 +66,13 @@ pub fn spec_to_wire(spec: &Spec) -> v1::JobSpec {
 fn simplify_to_wire(spec: &Spec) -> v1::SimplifySpec {
     v1::SimplifySpec {
         triangles: spec.triangles.clone(),
+        ratios: spec.ratios.clone(),
         method: to_wire(&METHODS, spec.method),
         effort: to_wire(&EFFORTS, spec.effort),
         topology: to_wire(&TOPOLOGIES, spec.topology),
         start_factor: Some(spec.start_factor),
         surface_weight: Some(spec.lambda),
+        max_d2: spec.max_d2,
         render: Some(render_to_wire(&spec.render)),
         optimization: Some(optimization_to_wire(&spec.optimize)),
         max_evaluations: spec.max_evaluations,
@@ -137,11 +139,13 @@ pub fn spec_from_wire(wire: Option<v1::JobSpec>) -> (Spec, Vec<Fault>) {
 fn simplify_from_wire(wire: v1::SimplifySpec, faults: &mut Vec<Fault>) -> Spec {
     let default = Spec::new(wire.triangles);
     Spec {
+        ratios: wire.ratios,
         method: from_wire(&METHODS, wire.method, "method", faults),
         effort: from_wire(&EFFORTS, wire.effort, "effort", faults),
         topology: from_wire(&TOPOLOGIES, wire.topology, "topology", faults),
         start_factor: wire.start_factor.unwrap_or(default.start_factor),
         lambda: wire.surface_weight.unwrap_or(default.lambda),
+        max_d2: wire.max_d2,
         render: render_from_wire(&wire.render.unwrap_or_default(), faults),
         optimize: optimization_from_wire(&wire.optimization.unwrap_or_default(), faults),
         max_evaluations: wire.max_evaluations,
@@ -226,16 +230,20 @@ mod tests {
         let looks = (pick(&SHADINGS), pick(&PROJECTIONS));
         let words = (pick(&METHODS), pick(&EFFORTS), pick(&TOPOLOGIES), looks, pick(&SOLVERS));
         let views = prop::collection::vec(prop::array::uniform3(-1.0..1.0f64), 0..3);
-        let counts = (prop::collection::vec(any::<u32>(), 0..4), prop::array::uniform3(0..99u32));
+        let ratios = prop::collection::vec(0.0..1.0f64, 0..3);
+        let levels = (prop::collection::vec(any::<u32>(), 0..4), ratios);
+        let counts = (levels, prop::array::uniform3(0..99u32));
         (numbers, words, views, counts, any::<u64>(), any::<u64>()).prop_map(
-            |(x, words, custom_views, (triangles, n), seed, max_evaluations)| Spec {
+            |(x, words, custom_views, ((triangles, ratios), n), seed, max_evaluations)| Spec {
                 triangles,
+                ratios,
                 simplified: None,
                 method: words.0,
                 effort: words.1,
                 topology: words.2,
                 start_factor: x[0],
                 lambda: x[1],
+                max_d2: x[4] / 7.0,
                 render: Render {
                     n_views: n[0],
                     custom_views,

@@ -61,7 +61,7 @@ class Client:
     def simplify(
         self,
         model: models.Model,
-        triangles: int | Iterable[int],
+        triangles: int | Iterable[int] = (),
         *,
         file_name: str | None = None,
         request_id: str | None = None,
@@ -71,8 +71,8 @@ class Client:
         """Uploads `model`, creates a job for levels of `triangles` each, and follows it.
 
         The model is a trimesh object, a path, or bytes with their `file_name`. `request_id` names
-        this request: the same again finds the job it made. Other keywords are the fields of
-        SimplifySpec and RenderSpec, such as method="image", effort="fast", n_views=20, seed=0, and
+        this request: the same again finds the job it made. `ratios`, shares of the model's triangles,
+        stand in for `triangles`. Other keywords are the fields of SimplifySpec and RenderSpec, such as method="image", effort="fast", n_views=20, seed=0, and
         those of Optimization behind `optimize_`, such as optimize_max_evaluations=0.
         """
         # Before the upload, so that a misspelt option costs nothing.

@@ -90,7 +90,8 @@ class Run:
             raise errors.JobFailed(job.name, job.failure.reason, job.failure.text)
         paths = [] if folder is None else self._client.fetch(job.name, folder)
         # A mesh that was simplified already is one level.
-        n_levels = len(job.spec.simplify.triangles) or 1
+        asked = job.spec.simplify
+        n_levels = len(asked.triangles) or len(asked.ratios) or 1
         levels = [f"lod-{i}.glb" for i in range(n_levels)]
         files = self._files([*levels, "report.json"], paths)
         lods = [models.load_glb(files[level], self._like) for level in levels]

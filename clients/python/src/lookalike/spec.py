@@ -42,7 +42,7 @@ def _options(kind: Descriptor) -> dict[str, Path]:
 OPTIONS = sorted(_options(spec_pb2.SimplifySpec.DESCRIPTOR))
 
 
-def simplify_spec(triangles: int | Iterable[int], **options: Any) -> spec_pb2.SimplifySpec:
+def simplify_spec(triangles: int | Iterable[int] = (), **options: Any) -> spec_pb2.SimplifySpec:
     """The specification of a simplification; what is not given, or None, takes its default.
 
     Enum values are written in lower case (`effort="fast"`), directions as three numbers
@@ -50,8 +50,7 @@ def simplify_spec(triangles: int | Iterable[int], **options: Any) -> spec_pb2.Si
     (`optimize_max_evaluations=0`).
     """
     spec = spec_pb2.SimplifySpec()
-    levels = triangles if isinstance(triangles, Iterable) else [triangles]
-    _assign(spec, spec.DESCRIPTOR.fields_by_name["triangles"], levels)
+    _assign(spec, spec.DESCRIPTOR.fields_by_name["triangles"], triangles)
     return _with_options(spec, options)
 
 
@@ -93,7 +92,8 @@ def _assign(message: Any, field: FieldDescriptor, value: Any) -> None:
             for x, y, z in value:
                 rows.add(x=x, y=y, z=z)
         elif field.is_repeated:
-            getattr(message, field.name).extend(value)
+            values = value if isinstance(value, Iterable) else [value]
+            getattr(message, field.name).extend(values)
         else:
             setattr(message, field.name, value)
     except (TypeError, ValueError) as error:

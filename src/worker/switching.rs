@@ -1,0 +1,72 @@
+//! From how far away a level may stand in for the original.
+//!
+//! A level deviates from the original by some mean distance (symmetric, by points spread evenly over both
+//! surfaces). The further away it is seen, the fewer pixels that is; once it is half a pixel, the two look
+//! alike. Says nothing of colour or of single places that deviate by more than the mean.
+
+use crate::{
+    mesh::Mesh,
+    metric::{
+        bounding_sphere,
+        surface::{Ruler, SurfaceParams},
+    },
+};
+
+/// Height of the screen in pixels.
+const SCREEN_HEIGHT: f64 = 1080.0;
+/// Half of the vertical field of view, degrees.
+const HALF_FOV_DEGREES: f64 = 30.0;
+/// What the mean deviation may be, in pixels.
+const PIXELS: f64 = 0.5;
+/// Points on each surface.
+const SAMPLES: u32 = 20_000;
+
+/// Measures the levels of one original.
+pub(super) struct Switching {
+    ruler: Ruler,
+    radius: f64,
+}
+
+impl Switching {
+    /// Gets ready to measure.
+    pub fn new(original: &Mesh) -> Self {
+        let params = SurfaceParams { samples: SAMPLES, ..SurfaceParams::default() };
+        Self { ruler: Ruler::new(original, params), radius: bounding_sphere(original).radius }
+    }
+
+    /// Distance from the centre, in radii of the original's bounding sphere. None where a mesh has no
+    /// triangles or the original has no extent.
+    pub fn distance_radii(&self, level: &Mesh) -> Option<f64> {
+        let deviation = self.ruler.mean(level)? / self.radius;
+        deviation.is_finite().then(|| deviation * radii_per_deviation())
+    }
+}
+
+/// A pixel at distance D is 2 D tan(fov / 2) / height high.
+fn radii_per_deviation() -> f64 {
+    SCREEN_HEIGHT / (PIXELS * 2.0 * HALF_FOV_DEGREES.to_radians().tan())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+
+    /// A square of side 2 at a height.
+    fn square(z: f64) -> Mesh {
+        let corners = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
+        let positions = corners.map(|[x, y]| DVec3::new(x, y, z)).to_vec();
+        Mesh::from_parts(positions, vec![[0, 1, 2], [0, 2, 3]])
+    }
+
+    #[test]
+    fn a_level_stands_in_from_where_it_is_off_by_half_a_pixel() {
+        let switching = Switching::new(&square(0.0));
+        assert!(switching.distance_radii(&square(0.0)).unwrap() < 1e-9);
+        // Off by 0.01 everywhere, seen from `radii` x sqrt(2).
+        let radii = switching.distance_radii(&square(0.01)).unwrap();
+        let screen = 2.0 * radii * 2.0_f64.sqrt() / 3.0_f64.sqrt();
+        assert!((0.01 / screen * 1080.0 - 0.5).abs() < 1e-6, "{radii}");
+        assert_eq!(switching.distance_radii(&Mesh::from_parts(Vec::new(), Vec::new())), None);
+    }
+}
