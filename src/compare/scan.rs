@@ -71,12 +71,10 @@ impl<const N: usize> Band<N> {
         paints: &[Paint<N>; 3],
         brush: Option<&Brush<'_, N>>,
     ) {
-        if let Some(brush) = brush {
-            self.draw_textured(spots, paints, brush);
-        } else if paints[0] == paints[1] && paints[0] == paints[2] {
+        if brush.is_none() && paints[0] == paints[1] && paints[0] == paints[2] {
             self.draw_constant(spots, paints[0].lit());
         } else {
-            self.draw_varying(spots, paints);
+            self.draw_varying(spots, paints, brush);
         }
     }
 
@@ -97,7 +95,12 @@ impl<const N: usize> Band<N> {
         });
     }
 
-    fn draw_varying(&mut self, spots: &[Spot; 3], paints: &[Paint<N>; 3]) {
+    fn draw_varying(
+        &mut self,
+        spots: &[Spot; 3],
+        paints: &[Paint<N>; 3],
+        brush: Option<&Brush<'_, N>>,
+    ) {
         let Some(depth) = DepthPlane::through(spots) else { return };
         // What is affine in the picture is value / w, not the value itself.
         let over_w = |value: [f32; 3]| {
@@ -106,42 +109,12 @@ impl<const N: usize> Band<N> {
         let weight = over_w([1.0; 3]);
         let shade = over_w(paints.map(|p| p.shade));
         let colour: [Plane; N] = std::array::from_fn(|c| over_w(paints.map(|p| p.colour[c])));
-        let (side, first) = (self.side, self.rows.start);
-        for_each_span(spots, side, self.rows.clone(), |row, columns| {
-            let z = depth.along(row, columns.start);
-            let weight = weight.along(row, columns.start);
-            let shade = shade.along(row, columns.start);
-            let colour = colour.map(|plane| plane.along(row, columns.start));
-            let at = (row - first) * side + columns.start..(row - first) * side + columns.end;
-            let samples = self.depth[at.clone()].iter_mut().zip(&mut self.values[at]);
-            for (i, (nearest, sample)) in (0_i32..).zip(samples) {
-                let z = z.at(i);
-                if z < *nearest {
-                    *nearest = z;
-                    let w = 1.0 / weight.at(i);
-                    let colour = colour.map(|c| c.at(i) * w);
-                    *sample = Paint { shade: shade.at(i) * w, colour }.lit();
-                }
-            }
-        });
-    }
-}
-
-impl<const N: usize> Band<N> {
-    fn draw_textured(&mut self, spots: &[Spot; 3], paints: &[Paint<N>; 3], brush: &Brush<'_, N>) {
-        let Some(depth) = DepthPlane::through(spots) else { return };
-        let over_w = |value: [f32; 3]| {
-            Plane::through(spots, [0, 1, 2].map(|k| f64::from(value[k]) * spots[k].inv_w))
-        };
-        let weight = over_w([1.0; 3]);
-        let shade = over_w(paints.map(|p| p.shade));
-        let colour: [Plane; N] = std::array::from_fn(|c| over_w(paints.map(|p| p.colour[c])));
-        let uv = [0, 1].map(|axis| over_w(brush.uv.map(|c| c[axis])));
+        let uv = brush.map(|brush| [0, 1].map(|axis| over_w(brush.uv.map(|c| c[axis]))));
         let (side, first) = (self.side, self.rows.start);
         for_each_span(spots, side, self.rows.clone(), |row, columns| {
             let line = |plane: Plane| plane.along(row, columns.start);
             let (z, weight, shade) = (depth.along(row, columns.start), line(weight), line(shade));
-            let (colour, uv) = (colour.map(line), uv.map(line));
+            let (colour, uv) = (colour.map(line), uv.map(|uv| uv.map(line)));
             let at = (row - first) * side + columns.start..(row - first) * side + columns.end;
             let samples = self.depth[at.clone()].iter_mut().zip(&mut self.values[at]);
             for (i, (nearest, sample)) in (0_i32..).zip(samples) {
@@ -149,8 +122,11 @@ impl<const N: usize> Band<N> {
                 if z < *nearest {
                     *nearest = z;
                     let w = 1.0 / weight.at(i);
-                    let texel = brush.at(uv.map(|c| c.at(i) * w));
-                    let colour = std::array::from_fn(|c| colour[c].at(i) * w * texel[c]);
+                    let mut colour = colour.map(|c| c.at(i) * w);
+                    if let (Some(brush), Some(uv)) = (brush, uv) {
+                        let texel = brush.at(uv.map(|c| c.at(i) * w));
+                        colour = std::array::from_fn(|c| colour[c] * texel[c]);
+                    }
                     *sample = Paint { shade: shade.at(i) * w, colour }.lit();
                 }
             }

@@ -96,6 +96,9 @@ fn decode(bytes: &[u8], limits: &Limits) -> Result<Pixels, String> {
     let reader = reader(bytes, limits)?;
     let image = guarded(move || reader.decode())?.into_rgba8();
     let (width, height) = image.dimensions();
+    if width == 0 || height == 0 {
+        return Err("it has no pixels".to_owned());
+    }
     let mut pixels = Pixels { width, height, rgba: image.into_raw() };
     while pixels.width.max(pixels.height) > MAX_DRAWN_SIDE {
         pixels = halved(&pixels);

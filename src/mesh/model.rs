@@ -141,9 +141,9 @@ pub struct Image {
 /// A decoded image.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Pixels {
-    /// Columns.
+    /// Columns, at least 1.
     pub width: u32,
-    /// Rows.
+    /// Rows, at least 1.
     pub height: u32,
     /// `4 * width * height` bytes, row by row from the top: red, green, blue, alpha, as encoded
     /// (not linear).
