@@ -246,7 +246,8 @@ impl<'a> Run<'a> {
         self.evaluations += 1;
         self.evaluated_at[edge.index()] = self.now;
         let length2 = self.mesh.position(ends[0]).distance_squared(self.mesh.position(ends[1]));
-        let cost = found.cost + FLAT_SHARE * length2 * length2 * length2;
+        let cost =
+            found.cost * self.mesh.weight_around(ends) + FLAT_SHARE * length2 * length2 * length2;
         (Entry::new(cost, edge), found)
     }
 
@@ -274,7 +275,7 @@ impl<'a> Run<'a> {
     }
 
     fn collapse(&mut self, edge: EdgeId, to: DVec3) -> Collapse {
-        let [keep, drop] = self.edges.ends(edge);
+        let [keep, drop] = self.mesh.survivor_first(self.edges.ends(edge));
         let collapse = self.mesh.collapse(keep, drop, to);
         for dead in self.edges.apply(self.mesh, &collapse).died {
             self.evaluated_at[dead.index()] = DEAD;

@@ -8,7 +8,7 @@ use crate::{
         spec::{Spec, Topology},
     },
     memoryless,
-    mesh::{EditMesh, Mesh},
+    mesh::{self, EditMesh, Marks, Mesh},
     optimize, simplify,
 };
 
@@ -25,6 +25,8 @@ pub enum StoppedBy {
     Triangles,
     /// No collapse is left that keeps the topology (or, where it is free, any triangle).
     NoLegalCollapse,
+    /// No collapse is left that leaves locked vertices where they are.
+    Locks,
     /// The budget of evaluations is spent.
     Evaluations,
     /// The next collapse would have lifted d2 above what is allowed.
@@ -101,6 +103,8 @@ pub struct Level {
     pub index: usize,
     /// The mesh.
     pub mesh: Mesh,
+    /// What is said of its vertices.
+    pub marks: Marks,
     /// Sum of squared luminance differences on the run-time views, if they were drawn.
     pub energy: Option<u64>,
     /// d2 on the run-time views, percent.
@@ -189,6 +193,10 @@ impl Levels {
                 (StoppedBy::NoLegalCollapse, Topology::Free) => {
                     "no collapse is left that leaves a triangle"
                 }
+                (StoppedBy::Locks, _) => {
+                    "no collapse is left that leaves the locked vertices where they are; ask for more, or \
+                     lock fewer"
+                }
                 (StoppedBy::Evaluations, _) => "the evaluations allowed are spent; allow more",
                 (StoppedBy::D2, _) => {
                     "the next collapse would leave d2 above the limit; allow more (optimization may \
@@ -231,6 +239,13 @@ impl Levels {
         self.stop = by;
     }
 
+    /// Where no collapse is left, whether locks are why.
+    pub fn blame_locks(&mut self, mesh: &EditMesh, topology: mesh::Topology) {
+        if self.stop == StoppedBy::NoLegalCollapse && mesh.is_held_by_locks(topology) {
+            self.stop = StoppedBy::Locks;
+        }
+    }
+
     /// Remembers the energy of the current mesh.
     pub fn set_energy(&mut self, energy: u64, d2: f64) {
         self.energy = Some(energy);
@@ -242,10 +257,12 @@ impl Levels {
         let Some(target) = self.pending.pop() else { return false };
         let index = self.asked.iter().position(|t| *t == target).unwrap_or(0);
         recorder.mark_level(&level_name(index));
+        let snapshot = mesh.snapshot_with_ids();
         self.done.push(Level {
             target,
             index,
-            mesh: mesh.snapshot(),
+            mesh: snapshot.mesh,
+            marks: mesh.marks().of(&snapshot.vertex_ids),
             energy: self.energy,
             d2: self.d2,
             stopped_by: self.stop,

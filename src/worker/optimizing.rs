@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use crate::{
-    mesh::{EditMesh, Stage, Step},
+    mesh::{EditMesh, Marks, Stage, Step},
     metric::d2_percent,
     optimize::{Optimizer, Outcome, alternate},
 };
@@ -58,9 +58,9 @@ fn optimize<'j>(
     figures: &mut StageFigures,
 ) -> Result<(), PipelineError> {
     let start = Instant::now();
-    let mut mesh = editable(&level.mesh)?;
+    let mut mesh = editable(&level.mesh, &level.marks)?;
     let critic = job.critic.get_or_init(|| Critic::new(job.spec, job.original));
-    let begun = (level.mesh.clone(), editable(&level.mesh)?);
+    let begun = (level.mesh.clone(), editable(&level.mesh, &Marks::default())?);
     let branch =
         Branch::new(level.index as u32, begun, critic, budget, (figures.evaluations, span));
     figures.start(&job.studio.evaluator(&mesh, recorder)?);

@@ -3,10 +3,10 @@
 use glam::DVec3;
 
 use crate::{
-    jobs::spec::{self, Effort, Projection, Shading, Spec},
+    jobs::spec::{self, Effort, Lock, Projection, Shading, Spec},
     memoryless,
-    mesh::{Mesh, Topology},
-    metric::{Pictures, bounding_sphere, energy_of_d2},
+    mesh::{Feature, Mesh, Topology},
+    metric::{Pictures, bounding_sphere},
     optimize,
     render::{
         self, RenderParams,
@@ -27,7 +27,18 @@ pub fn memoryless(spec: &Spec) -> memoryless::Params {
     }
 }
 
-fn topology(spec: &Spec) -> Topology {
+/// The edges whose vertices stay.
+pub fn features(spec: &Spec) -> Vec<Feature> {
+    let feature = |lock: &Lock| match lock {
+        Lock::Border => Feature::Border,
+        Lock::Seam => Feature::Seam,
+        Lock::HardEdge => Feature::HardEdge,
+    };
+    spec.lock.iter().map(feature).collect()
+}
+
+/// What collapses must keep.
+pub fn topology(spec: &Spec) -> Topology {
     match spec.topology {
         // The pipeline has settled it by now.
         spec::Topology::Auto | spec::Topology::Preserve => Topology::Preserve,
@@ -49,7 +60,7 @@ pub fn image(spec: &Spec) -> simplify::Params {
         ahead,
         search_rounds,
         max_evaluations: spec.max_evaluations,
-        max_energy: (spec.max_d2 > 0.0).then(|| energy_of_d2(spec.max_d2, n_pixels(spec) as u64)),
+        max_energy: None,
     }
 }
 

@@ -19,7 +19,7 @@ use crate::{
         event::Report,
         spec::{Spec, Topology},
     },
-    mesh::{EditMesh, Mesh, Semantic},
+    mesh::{EditMesh, Marks, Mesh, Semantic},
     metric::{Palette, with_vertex_normals},
     optimize::OptimizeError,
     progressive::ProgressiveError,
@@ -152,9 +152,11 @@ pub fn run(
         (read(&inputs.original)?, inputs.simplified.as_ref().map(read).transpose()?);
     let ingest = original.report;
     let spec = &settled(asked, &ingest, original.mesh.faces.len());
+    let asked_marks = original.marks;
     let original = prepared(spec, original.mesh);
     let critic = OnceLock::new();
     let base = simplifying::base(spec, &original, simplified.as_ref());
+    let marks = simplifying::marks(spec, &base, (asked_marks, simplified.as_ref()));
     let mut recorder = Recorder::new(spec, &base, start, on)?;
     recorder.announce("model", &ingest)?;
     if asked.topology != spec.topology {
@@ -163,6 +165,7 @@ pub fn run(
     if let Some(simplified) = &simplified {
         recorder.announce("simplified mesh", &simplified.report)?;
     }
+    tell_of_marks(&marks, &mut recorder)?;
     let mut figures = Vec::new();
     let pictures = params::pictures(spec, &original);
     let palette = match simplified {
@@ -175,7 +178,7 @@ pub fn run(
         let drawn = draw_ahead(scope, plan, (spec, &original), pictures.clone(), &critic);
         let studio = Studio::new(&original, (pictures, palette), drawn, device);
         let mut job = Job { spec, original: &original, studio, critic: &critic };
-        let mut levels = simplifying::run(&mut job, base, &mut recorder, &mut figures)?;
+        let mut levels = simplifying::run(&mut job, (base, marks), &mut recorder, &mut figures)?;
         if spec.optimizes() {
             figures.extend(optimizing::run(&mut job, &mut levels, &mut recorder, &figures)?);
         }
@@ -184,6 +187,20 @@ pub fn run(
 
     let attempt = results::Attempt { spec, ingest: &ingest, figures: &figures, start };
     results::write_all(out_dir, &original, &levels, &mut recorder, &attempt)
+}
+
+fn tell_of_marks(marks: &Marks, recorder: &mut Recorder<'_>) -> Result<(), PipelineError> {
+    let n_locked = marks.n_locked();
+    if n_locked > 0 {
+        let text = format!("{n_locked} vertices stay where they are");
+        recorder.note("VERTICES_LOCKED", &text)?;
+    }
+    if !marks.weights.is_empty() {
+        let text =
+            "collapses are ordered by what they cost times how much their surroundings matter";
+        recorder.note("VERTICES_WEIGHED", text)?;
+    }
+    Ok(())
 }
 
 /// The specification, with what was left to the model decided.
@@ -216,8 +233,9 @@ fn prepared(spec: &Spec, original: Mesh) -> Mesh {
     }
 }
 
-/// A mesh that can be edited.
-pub(super) fn editable(mesh: &Mesh) -> Result<EditMesh, PipelineError> {
+/// A mesh that can be edited as far as its marks allow.
+pub(super) fn editable(mesh: &Mesh, marks: &Marks) -> Result<EditMesh, PipelineError> {
     EditMesh::new(mesh.clone())
+        .map(|mesh| mesh.with_marks(marks.clone()))
         .map_err(|e| PipelineError::Job { code: "INVALID_MESH", text: e.to_string() })
 }

@@ -4,7 +4,7 @@ use crate::{
     cluster,
     io::Ingest,
     jobs::spec::{Method, Spec},
-    mesh::{EditMesh, Mesh, Semantic, Stage},
+    mesh::{EditMesh, Marks, Mesh, Semantic, Stage},
     metric::with_vertex_normals,
     simplify,
 };
@@ -34,15 +34,31 @@ pub(super) fn base(spec: &Spec, original: &Mesh, simplified: Option<&Ingest>) ->
     }
 }
 
+/// What is said of the vertices of the base: by its file, and by what is locked along features.
+pub(super) fn marks(
+    spec: &Spec,
+    base: &Mesh,
+    (of_original, simplified): (Marks, Option<&Ingest>),
+) -> Marks {
+    let mut marks = match (simplified, spec.method) {
+        (Some(given), _) => given.marks.clone(),
+        // Its vertices are not those of the original.
+        (None, Method::Cluster) => Marks::default(),
+        (None, Method::Image | Method::Memoryless) => of_original,
+    };
+    marks.lock_along(base, &params::features(spec), spec.hard_edge_degrees);
+    marks
+}
+
 /// Makes all levels, and adds what each stage cost.
 pub(super) fn run(
     job: &mut Job<'_>,
-    base: Mesh,
+    (base, marks): (Mesh, Marks),
     recorder: &mut Recorder<'_>,
     figures: &mut Vec<StageFigures>,
 ) -> Result<Levels, PipelineError> {
     let spec = job.spec;
-    let mut mesh = editable(&base)?;
+    let mut mesh = editable(&base, &marks)?;
     drop(base);
     if spec.simplified.is_some() || spec.method == Method::Cluster {
         return given(job, &mesh, recorder);
@@ -105,6 +121,7 @@ fn memoryless_stage(
             figures.add(outcome.collapses, outcome.evaluations);
             recorder.check()?;
             levels.set_stop(StoppedBy::of_memoryless(outcome.stopped_by));
+            levels.blame_locks(mesh, params.topology);
         }
         if next.is_none_or(|t| t < floor) || !levels.take(mesh, recorder) {
             break;
@@ -135,6 +152,7 @@ fn image_stage(
             recorder.check()?;
             StoppedBy::of_image(outcome.stopped_by)
         });
+        levels.blame_locks(simplifier.mesh(), params::topology(job.spec));
         let (energy, d2) = (simplifier.objective().energy(), simplifier.objective().d2_percent());
         levels.set_energy(energy, d2);
         if !levels.take(simplifier.mesh(), recorder) {

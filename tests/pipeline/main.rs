@@ -11,6 +11,7 @@ mod agreement;
 mod bad_input;
 mod determinism;
 mod large;
+mod locks;
 mod looks;
 mod optimizing;
 mod quality;
