@@ -131,6 +131,11 @@ impl<'a> Simplifier<'a> {
         self.mesh
     }
 
+    /// From now on, stop before a collapse that would raise the energy to more than this.
+    pub fn set_max_energy(&mut self, most: Option<u64>) {
+        self.params.max_energy = most;
+    }
+
     /// The objective as it is now.
     pub fn objective(&mut self) -> &mut Objective {
         self.objective

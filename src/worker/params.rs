@@ -6,7 +6,7 @@ use crate::{
     jobs::spec::{self, Effort, Lock, Projection, Shading, Spec},
     memoryless,
     mesh::{Feature, Mesh, Topology},
-    metric::{Pictures, bounding_sphere},
+    metric::{Pictures, bounding_sphere, energy_of_d2},
     optimize,
     render::{
         self, RenderParams,
@@ -62,6 +62,11 @@ pub fn image(spec: &Spec) -> simplify::Params {
         max_evaluations: spec.max_evaluations,
         max_energy: None,
     }
+}
+
+/// The highest energy at which d2 on the run-time views is no more than so many percent.
+pub fn max_energy(spec: &Spec, d2_percent: f64) -> u64 {
+    energy_of_d2(d2_percent, n_pixels(spec) as u64)
 }
 
 /// Evaluations for each triangle after which a run ends that was given another limit.

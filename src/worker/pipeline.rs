@@ -29,6 +29,7 @@ use crate::{
 
 use super::{
     critic::Critic,
+    gauge::Gauge,
     illustrator::{Plan, draw_ahead},
     optimizing, params,
     recorder::Recorder,
@@ -133,6 +134,8 @@ pub(super) struct Job<'j> {
     pub original: &'j Mesh,
     /// The pictures of the original, and who judges by them.
     pub studio: Studio<'j>,
+    /// Measures levels.
+    pub gauge: &'j Gauge<'j>,
     /// The unseen pictures, once they are drawn.
     pub critic: &'j OnceLock<Critic<'j>>,
 }
@@ -154,7 +157,7 @@ pub fn run(
     let spec = &settled(asked, &ingest, original.mesh.faces.len());
     let asked_marks = original.marks;
     let original = prepared(spec, original.mesh);
-    let critic = OnceLock::new();
+    let (critic, gauge) = (OnceLock::new(), Gauge::new(&original));
     let base = simplifying::base(spec, &original, simplified.as_ref());
     let marks = simplifying::marks(spec, &base, (asked_marks, simplified.as_ref()));
     let mut recorder = Recorder::new(spec, &base, start, on)?;
@@ -172,12 +175,13 @@ pub fn run(
         Some(_) => Arc::new(Palette::of(&base, spec.render.image_size)),
         None => pictures.palette.clone(),
     };
-    let n_coarsest = spec.triangles.iter().min().map_or(base.faces.len(), |n| *n as usize);
+    let targets = spec.triangles.iter().filter(|n| **n > 0);
+    let n_coarsest = targets.min().map_or(base.faces.len(), |n| *n as usize);
     let levels = thread::scope(|scope| {
         let plan = Plan::new(spec, n_coarsest);
         let drawn = draw_ahead(scope, plan, (spec, &original), pictures.clone(), &critic);
         let studio = Studio::new(&original, (pictures, palette), drawn, device);
-        let mut job = Job { spec, original: &original, studio, critic: &critic };
+        let mut job = Job { spec, original: &original, studio, gauge: &gauge, critic: &critic };
         let mut levels = simplifying::run(&mut job, (base, marks), &mut recorder, &mut figures)?;
         if spec.optimizes() {
             figures.extend(optimizing::run(&mut job, &mut levels, &mut recorder, &figures)?);
@@ -185,7 +189,8 @@ pub fn run(
         Ok::<_, PipelineError>(levels)
     })?;
 
-    let attempt = results::Attempt { spec, ingest: &ingest, figures: &figures, start };
+    let attempt =
+        results::Attempt { spec, ingest: &ingest, gauge: &gauge, figures: &figures, start };
     results::write_all(out_dir, &original, &levels, &mut recorder, &attempt)
 }
 
