@@ -184,10 +184,8 @@ impl Course<'_, '_> {
         };
         let mut ends = Vec::new();
         if now.is_above(budget)?.is_none() {
-            let n = match pending.is_measured() {
-                true => first_of(last, |n| Ok(at(n).is_above(budget)?.is_none()))?,
-                false => last,
-            };
+            let is_small = |n: usize| Ok(at(n).is_above(budget)?.is_none());
+            let n = if pending.is_measured() { first_of(last, is_small)? } else { last };
             let by_count = if budget.is_ratio { StoppedBy::Ratio } else { StoppedBy::Triangles };
             let above = if n > 0 { at(n - 1).is_above(budget)? } else { None };
             ends.push((n, above.unwrap_or(by_count)));

@@ -174,11 +174,6 @@ impl Levels {
         self.pending.is_empty()
     }
 
-    /// Triangles of the original.
-    pub fn n_original(&self) -> usize {
-        self.n_original
-    }
-
     /// The most triangles below so many that a level has asked for.
     pub fn next_target(&self, below: usize) -> Option<usize> {
         let targets = self.pending.iter().filter_map(|p| p.budget.triangles);

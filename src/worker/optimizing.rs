@@ -75,7 +75,7 @@ fn optimize<'j>(
         outcome.energy_after = job.studio.energy(&mesh);
     }
     let energy = outcome.energy_after;
-    let d2 = d2_percent(energy, params::n_pixels(job.spec) as u64);
+    let d2 = d2_percent(energy, params::n_counted_pixels(job.spec));
     let (branch, edits) = recorder.end_branch(energy, d2)?;
     figures.evaluations += outcome.evaluations;
     figures.edits += u64::from(edits);

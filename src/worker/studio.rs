@@ -84,7 +84,7 @@ impl<'m> Studio<'m> {
         }
         let ViewSet { pictures, reference } = &self.sets[0];
         let drawn = render::reference(&self.scene(mesh, pictures));
-        render::energy(reference, &drawn.pictures)
+        render::energy(&pictures.views, reference, &drawn.pictures)
     }
 
     /// Who computes: measured with this mesh, and told, when it is first asked. Draws the run-time views

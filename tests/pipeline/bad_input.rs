@@ -98,7 +98,7 @@ fn a_limit_of_d2_ends_the_chain_with_the_reason() {
     assert!(done.result.is_ok(), "{:?}", done.result);
     let report = done.report();
     let [coarse, fine, coarsest] = [0, 1, 2].map(|i| report["levels"][i].clone());
-    assert_eq!(fine["stopped_by"], "triangles");
+    assert_eq!(fine["stopped_by"], "ratio");
     for level in [&coarse, &coarsest] {
         assert_eq!(level["stopped_by"], "d2");
         assert!(level["triangles"].as_u64() > level["asked"].as_u64(), "{level}");

@@ -9,6 +9,7 @@
 
 mod agreement;
 mod bad_input;
+mod budgets;
 mod determinism;
 mod large;
 mod locks;
