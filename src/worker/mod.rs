@@ -11,6 +11,7 @@ pub mod agent;
 pub mod attempt;
 mod branch;
 mod budget;
+mod chosen;
 mod course;
 mod critic;
 mod gauge;

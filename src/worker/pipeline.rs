@@ -28,6 +28,7 @@ use crate::{
 };
 
 use super::{
+    chosen::Facts,
     critic::Critic,
     gauge::Gauge,
     illustrator::{Plan, draw_ahead},
@@ -168,6 +169,7 @@ pub fn run(
     if let Some(simplified) = &simplified {
         recorder.announce("simplified mesh", &simplified.report)?;
     }
+    let mut facts = Facts { asked, n_locked: marks.n_locked(), n_optimized: 0 };
     tell_of_marks(&marks, &mut recorder)?;
     let mut figures = Vec::new();
     let pictures = params::pictures(spec, &original);
@@ -183,6 +185,7 @@ pub fn run(
         let studio = Studio::new(&original, (pictures, palette), drawn, device);
         let mut job = Job { spec, original: &original, studio, gauge: &gauge, critic: &critic };
         let mut levels = simplifying::run(&mut job, (base, marks), &mut recorder, &mut figures)?;
+        facts.n_optimized = levels.simplified().map(|level| level.mesh.faces.len()).sum();
         if spec.optimizes() {
             figures.extend(optimizing::run(&mut job, &mut levels, &mut recorder, &figures)?);
         }
@@ -190,7 +193,7 @@ pub fn run(
     })?;
 
     let attempt =
-        results::Attempt { spec, ingest: &ingest, gauge: &gauge, figures: &figures, start };
+        results::Attempt { spec, ingest: &ingest, facts, gauge: &gauge, figures: &figures, start };
     results::write_all(out_dir, &original, &levels, &mut recorder, &attempt)
 }
 

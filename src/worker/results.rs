@@ -12,6 +12,7 @@ use crate::{
 };
 
 use super::{
+    chosen::{Chosen, Facts},
     critic::look,
     gauge::Gauge,
     levels::{Level, Levels, Optimized},
@@ -101,6 +102,8 @@ pub(super) struct Attempt<'a> {
     pub spec: &'a Spec,
     /// What was read.
     pub ingest: &'a IngestReport,
+    /// What its settings depend on.
+    pub facts: Facts<'a>,
     /// What measures levels.
     pub gauge: &'a Gauge<'a>,
     /// What the stages cost.
@@ -116,6 +119,7 @@ struct ReportFile<'a> {
     device: &'a str,
     input: &'a IngestReport,
     spec: &'a Spec,
+    chosen: Chosen,
     levels: Vec<LevelReport<'a>>,
     stages: &'a [StageFigures],
     records: u32,
@@ -177,6 +181,7 @@ pub(super) fn write_all(
         device: attempt.figures.last().map_or("native", |f| f.device.as_str()),
         input: attempt.ingest,
         spec: attempt.spec,
+        chosen: Chosen::of(attempt.spec, attempt.ingest, &attempt.facts),
         levels: reports,
         stages: attempt.figures,
         records: out.recorder.n_records(),
