@@ -256,7 +256,9 @@ def test_keywords_become_fields() -> None:
     assert simplify_spec(7) == spec_pb2.SimplifySpec(triangles=[7])
     assert simplify_spec(ratios=(0.5, 0.1)) == spec_pb2.SimplifySpec(ratios=[0.5, 0.1])
     assert simplify_spec(ratios=0.5) == spec_pb2.SimplifySpec(ratios=[0.5])
-    spec = simplify_spec(max_d2=3, screen_size=[300, 60], max_bytes=[0, 9000], lock="border,hard-edge")
+    spec = simplify_spec(
+        max_d2=3, screen_size=[300, 60], max_bytes=[0, 9000], lock="border,hard-edge"
+    )
     locks = [spec_pb2.LOCK_BORDER, spec_pb2.LOCK_HARD_EDGE]
     wanted = spec_pb2.SimplifySpec(
         level_max_d2=[3], screen_size=[300, 60], max_bytes=[0, 9000], lock=locks
