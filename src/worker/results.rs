@@ -22,6 +22,9 @@ use super::{
     switching::Switching,
 };
 
+/// No screen is higher, in pixels: what [`Spec::screen_size`] may be.
+const TALLEST_SCREEN: f64 = 65_536.0;
+
 /// What a stage cost.
 #[derive(Clone, Debug, Serialize)]
 pub struct StageFigures {
@@ -139,7 +142,7 @@ struct LevelReport<'a> {
     stopped_by: StoppedBy,
     /// Distance from the centre, in bounding radii, from which on the level may stand in for the original.
     switch_distance_radii: Option<f64>,
-    /// How high the bounding sphere may be on the screen, in pixels, for that.
+    /// How high the bounding sphere may be on the screen, in pixels, for that; absent where no screen is too high.
     screen_size_pixels: Option<f64>,
     /// Size of the file.
     bytes: usize,
@@ -220,8 +223,7 @@ fn level_report<'a>(
         energy: level.energy,
         stopped_by: level.stopped_by,
         switch_distance_radii: deviation.map(Switching::distance_radii),
-        // Infinite for the original, which JSON has no number for.
-        screen_size_pixels: screen_size.filter(|pixels| pixels.is_finite()),
+        screen_size_pixels: screen_size.filter(|pixels| *pixels <= TALLEST_SCREEN),
         bytes,
         optimization: level.optimized.as_ref(),
     }
