@@ -13,14 +13,19 @@ use super::support::{Done, check_levels, job, job_on};
 
 /// The mesh as a PLY file with a property `lock`.
 fn ply(mesh: &Mesh, is_locked: impl Fn(usize) -> bool) -> Vec<u8> {
+    ply_with(mesh, "uchar lock", |v| f32::from(u8::from(is_locked(v))))
+}
+
+/// The mesh as a PLY file with a property of its vertices.
+fn ply_with(mesh: &Mesh, property: &str, value: impl Fn(usize) -> f32) -> Vec<u8> {
     let (n, m) = (mesh.positions.len(), mesh.faces.len());
     let mut text = format!(
         "ply\nformat ascii 1.0\nelement vertex {n}\nproperty float x\nproperty float y\nproperty float z\n\
-         property uchar lock\nelement face {m}\nproperty list uchar int vertex_indices\nend_header\n"
+         property {property}\nelement face {m}\nproperty list uchar int vertex_indices\nend_header\n"
     );
     for (v, p) in mesh.positions.iter().enumerate() {
         let [x, y, z] = p.as_vec3().to_array();
-        writeln!(text, "{x} {y} {z} {}", u8::from(is_locked(v))).unwrap();
+        writeln!(text, "{x} {y} {z} {}", value(v)).unwrap();
     }
     for [a, b, c] in &mesh.faces {
         writeln!(text, "3 {a} {b} {c}").unwrap();
@@ -134,4 +139,24 @@ fn a_mesh_of_another_tool_keeps_what_is_locked() {
     let inputs = Inputs { simplified: Some(simplified), ..Inputs::of("fine.ply", &original) };
     let done = job_on(&spec, &inputs, "cpu");
     check(&done, |v| is_in_mask(v) || is_on_border(v));
+}
+
+#[test]
+fn pictures_order_what_matters_less_first() {
+    // The left half matters a hundredth as much.
+    let n_left = |property: &str| {
+        let is_left = |v: usize| v % 21 < 10;
+        let input = ply_with(&terrain(), property, |v| if is_left(v) { 0.01 } else { 1.0 });
+        let off = Optimize { max_evaluations: Some(0), ..Optimize::default() };
+        let spec = Spec { optimize: off, lock: Vec::new(), ..spec(vec![300]) };
+        let done = job(&Spec { start_factor: 3.0, ..spec }, "terrain.ply", &input, "cpu");
+        assert!(done.result.is_ok(), "{:?}", done.result);
+        assert_eq!(done.has_note("VERTICES_WEIGHED"), property.ends_with("weight"));
+        let mesh = read("lod-0.glb", &done.files["lod-0.glb"], &Limits::default()).unwrap().mesh;
+        let middle =
+            |f: &[u32; 3]| f.map(|v| mesh.positions[v as usize].x).iter().sum::<f64>() / 3.0;
+        mesh.faces.iter().filter(|f| middle(f) < 0.5).count()
+    };
+    let (plain, weighed) = (n_left("float of_no_meaning"), n_left("float weight"));
+    assert!(2 * weighed < plain, "{weighed} of {plain}");
 }
