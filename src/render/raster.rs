@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use super::{
     evaluator::Reference,
     lattice::{DEPTH_BITS, PixelRect, Setup},
+    nearest::Nearest,
     scene::{Scene, SceneFace},
 };
 
@@ -32,28 +33,15 @@ pub fn reference(scene: &Scene) -> Reference {
 /// The picture of one view: 8-bit luminance, row by row from the top.
 pub fn picture(scene: &Scene, view: usize) -> Vec<u8> {
     let size = scene.lattice.size;
-    let mut nearest = vec![(u32::MAX, u32::MAX); (size * size) as usize];
-    let at = |i: i32, j: i32| (j * size + i) as usize;
-    for_each_setup(
-        scene,
-        view,
-        |_| true,
-        |id, _, s| {
-            for_each_pixel(s, |i, j| {
-                let slot = &mut nearest[at(i, j)];
-                *slot = (*slot).min((s.depth.at(i, j, DEPTH_BITS) as u32, id));
-            });
-        },
-    );
+    let nearest = Nearest::of(scene, view);
     // Most triangles of a dense model are not seen: shade only those that are.
-    let mut is_seen = vec![false; scene.faces.len()];
-    for (_, id) in nearest.iter().filter(|key| key.1 != u32::MAX) {
-        is_seen[*id as usize] = true;
-    }
-    let mut lum = vec![scene.params.background; nearest.len()];
+    let is_seen = nearest.faces_seen(scene.faces.len());
+    let ids = nearest.ids;
+    let mut lum = vec![scene.params.background; ids.len()];
     for_each_fragment(scene, view, |id| is_seen[id as usize], &mut |i, j, f| {
-        if nearest[at(i, j)].1 == f.face {
-            lum[at(i, j)] = f.lum;
+        let at = (j * size + i) as usize;
+        if ids[at] == f.face {
+            lum[at] = f.lum;
         }
     });
     lum
@@ -77,7 +65,7 @@ pub fn for_each_fragment(
 
 /// Calls `on(id, triangle, setup)` for every triangle that is `wanted` and may cover a pixel, by
 /// ascending id. The setups know no luminance.
-pub fn for_each_setup(
+pub(super) fn for_each_setup(
     scene: &Scene,
     view: usize,
     wanted: impl Fn(u32) -> bool,
@@ -103,8 +91,8 @@ pub fn for_each_pixel(s: &Setup, mut on: impl FnMut(i32, i32)) {
 
 /// Calls `on(columns, j)` for every row in which a triangle covers pixels. Triangles are convex: what a
 /// row covers is one run.
-#[inline]
-pub fn for_each_run(s: &Setup, mut on: impl FnMut(Range<i32>, i32)) {
+#[inline(always)]
+pub(super) fn for_each_run(s: &Setup, mut on: impl FnMut(Range<i32>, i32)) {
     let PixelRect { x0, y0, x1, y1 } = s.rect;
     for j in y0..=y1 {
         let [mut a, mut b, mut c] = s.edges.map(|e| e.at(x0, j));
