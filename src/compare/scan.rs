@@ -142,13 +142,18 @@ impl<const N: usize> Band<N> {
             for (i, (nearest, sample)) in (0_i32..).zip(samples) {
                 let z = z.at(i);
                 if z < *nearest {
-                    *nearest = z;
                     let w = 1.0 / weight.at(i);
                     let mut colour = colour.map(|c| c.at(i) * w);
                     if let (Some(brush), Some(uv)) = (brush, uv) {
-                        let texel = brush.at(uv.map(|c| c.at(i) * w));
+                        let uv = uv.map(|c| c.at(i) * w);
+                        let sample = (columns.start + i as usize, row);
+                        if brush.holes.as_ref().is_some_and(|h| !h.is_there(uv, sample)) {
+                            continue;
+                        }
+                        let texel = brush.at(uv);
                         colour = std::array::from_fn(|c| colour[c] * texel[c]);
                     }
+                    *nearest = z;
                     *sample = Paint { shade: shade.at(i) * w, colour }.lit();
                 }
             }

@@ -28,8 +28,8 @@ pub use edit_mesh::EditMesh;
 pub use error::{MAX_FACES, MeshError, Violation};
 pub use legality::{Legality, Topology};
 pub use model::{
-    AttributeLayer, Corner, EdgeId, FaceId, Image, Material, Mesh, Pixels, Semantic, Texture,
-    TextureUse, VertexId, WedgeId, Wrap,
+    AttributeLayer, Corner, Coverage, EdgeId, FaceId, Image, Material, Mesh, Pixels, Semantic,
+    Texture, TextureUse, VertexId, WedgeId, Wrap,
 };
 pub use snapshot::Snapshot;
 pub use step::{MoveCount, Sample, Stage, Step};

@@ -182,6 +182,18 @@ impl TextureUse {
     pub const IDENTITY: [[f32; 3]; 2] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
 }
 
+/// How much of a surface is there.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Coverage {
+    /// All of it, whatever alpha says.
+    #[default]
+    Opaque,
+    /// Where alpha (factor × texture) is at least this.
+    Mask(f32),
+    /// As large a share as alpha says.
+    Blend,
+}
+
 /// Surface appearance of a set of faces.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Material {
@@ -198,6 +210,21 @@ pub struct Material {
     /// The glTF material that this was read from, word for word: what is not modelled here is
     /// written as it was read. Its texture indices are those of [`Mesh::textures`].
     pub source: Option<serde_json::Value>,
+}
+
+impl Material {
+    /// What glTF's `alphaMode` and `alphaCutoff` say.
+    pub fn coverage(&self) -> Coverage {
+        let property = |name: &str| self.source.as_ref()?.get(name);
+        match property("alphaMode").and_then(serde_json::Value::as_str) {
+            Some("MASK") => {
+                let cutoff = property("alphaCutoff").and_then(serde_json::Value::as_f64);
+                Coverage::Mask(cutoff.unwrap_or(0.5) as f32)
+            }
+            Some("BLEND") => Coverage::Blend,
+            _ => Coverage::Opaque,
+        }
+    }
 }
 
 impl Default for Material {

@@ -417,6 +417,9 @@ impl Shade {
         let centroid = (p[0] + p[1] + p[2]) / 3.0;
         let side = if v.sees_front(centroid, normal) { 1.0 } else { -1.0 };
         let cosine = side * normal.dot(v.to_light);
+        if face.surface.is_unlit {
+            return Self { corners: [albedo; 3], ..Self::default() };
+        }
         let diffuse = albedo * (1.0 - ambient);
         let corners = [albedo * ambient + diffuse * cosine.max(0.0); 3];
         if cosine <= 0.0 || length == 0.0 {
@@ -439,6 +442,10 @@ impl Shade {
         let mut this = Self::default();
         for (k, place) in p.into_iter().enumerate() {
             let albedo = f64::from(face.surface.albedo[k]);
+            if face.surface.is_unlit {
+                this.corners[k] = albedo;
+                continue;
+            }
             let side = if v.sees_front(place, normal) { 1.0 } else { -1.0 };
             let cosine = side * scene.normal(face.vertices[k]).dot(v.to_light);
             this.corners[k] = albedo * (ambient + (1.0 - ambient) * cosine.max(0.0));

@@ -29,7 +29,7 @@ pub use device::{AdapterInfo, adapters};
 pub use evaluator::{Evaluator, Reference, RenderError};
 pub use moves::{AddedFace, MAX_MOVE_VERTICES, Move};
 pub use nearest::{NOTHING, Nearest};
-pub use paint::{Paint, Painted, Texels};
+pub use paint::{Alpha, Paint, Painted, Sieve, Texels};
 pub use raster::{energy, picture, reference};
 pub use scene::{RenderParams, Scene, SceneFace, Shading, Surface};
 pub use twin::Twin;

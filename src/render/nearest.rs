@@ -10,7 +10,7 @@ use crate::intrinsics::by_processor;
 
 use super::{
     lattice::{DEPTH_BITS, PixelRect, ScreenPoint, Setup},
-    raster::for_each_run,
+    raster::{for_each_pixel, for_each_run},
     scene::{Scene, SceneFace},
     tiles::{BACKGROUND_Z, TileBounds},
 };
@@ -38,11 +38,19 @@ impl Nearest {
             (0..scene.n_vertex_slots() as u32).map(|v| scene.screen_points(v)[view]).collect();
         let cull = scene.culls_front(view);
         let at = |face: &SceneFace| face.vertices.map(|v| points[v as usize]);
+        let texels = scene.texels.words();
+        let setup = |id: u32, corners| {
+            let mut setup = scene.lattice.setup(corners, [0; 3], cull)?;
+            if let Some(face) = scene.faces[id as usize].as_ref().filter(|f| scene.has_holes(f)) {
+                setup.paint = scene.painted(view, face);
+            }
+            Some(setup)
+        };
         let mut facing_away = Vec::new();
         for (id, face) in (0_u32..).zip(&scene.faces) {
             let Some(corners) = face.as_ref().map(at) else { continue };
             if is_front(corners) {
-                this.draw(id, scene.lattice.setup(corners, [0; 3], cull));
+                this.draw(id, setup(id, corners), texels);
             } else {
                 facing_away.push((id, corners));
             }
@@ -51,7 +59,7 @@ impl Nearest {
         for (id, corners) in facing_away {
             let nearest = corners.iter().map(|p| u32::from(p.z)).min().unwrap_or(0);
             if !bounds.hides(&rect(scene, corners), nearest) {
-                this.draw(id, scene.lattice.setup(corners, [0; 3], cull));
+                this.draw(id, setup(id, corners), texels);
             }
         }
         this
@@ -66,10 +74,23 @@ impl Nearest {
         is_seen
     }
 
-    fn draw(&mut self, id: u32, setup: Option<Setup>) {
-        if let Some(s) = setup {
-            draw(&mut self.depths, &mut self.ids, self.size, id, &s);
+    fn draw(&mut self, id: u32, setup: Option<Setup>, texels: &[u32]) {
+        match setup {
+            Some(s) if s.paint.is_some() => self.draw_pierced(id, &s, texels),
+            Some(s) => draw(&mut self.depths, &mut self.ids, self.size, id, &s),
+            None => {}
         }
+    }
+
+    /// Draws a triangle with holes.
+    fn draw_pierced(&mut self, id: u32, s: &Setup, texels: &[u32]) {
+        for_each_pixel(s, |i, j| {
+            let at = j as usize * self.size + i as usize;
+            let z = s.depth.at(i, j, DEPTH_BITS);
+            if (z, id) < (self.depths[at], self.ids[at]) && !s.is_hole(texels, i, j) {
+                (self.depths[at], self.ids[at]) = (z, id);
+            }
+        });
     }
 
     /// The depth bounds of what is drawn so far.
@@ -163,11 +184,11 @@ mod tests {
         #[test]
         fn what_is_seen_is_the_least_of_all_fragments(
             faces in prop::collection::vec(triangle(), 1..40),
-            look in prop::sample::select(&contract::LOOKS[..3]),
+            look in prop::sample::select(vec![0, 1, 2, 4, 5]),
         ) {
             let turned = faces.iter().map(|[a, b, c]| [*a, *c, *b]);
             let all: Vec<_> = turned.chain(faces.iter().copied()).collect();
-            check(&all, look)?;
+            check(&all, contract::LOOKS[look])?;
         }
     }
 }

@@ -59,7 +59,13 @@ pub fn for_each_fragment(
     for_each_setup(scene, view, wanted, |id, face, _| {
         let texels = scene.texels.words();
         let s = scene.set_up(view, face);
-        s.iter().for_each(|s| for_each_pixel(s, |i, j| on(i, j, fragment(s, texels, id, i, j))));
+        if let Some(s) = &s {
+            for_each_pixel(s, |i, j| {
+                if !s.is_hole(texels, i, j) {
+                    on(i, j, fragment(s, texels, id, i, j));
+                }
+            });
+        }
     });
 }
 
