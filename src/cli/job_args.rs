@@ -4,7 +4,7 @@ use clap::{
     Args,
     builder::{PossibleValuesParser, TypedValueParser},
 };
-use lookalike::jobs::spec::{Effort, Fault, Method, Spec, Topology};
+use lookalike::jobs::spec::{Effort, Fault, Lock, Method, Spec, Topology};
 use serde::de::DeserializeOwned;
 
 use super::{exit::Failure, optimize_args::OptimizeArgs, picture_args::PictureArgs};
@@ -13,7 +13,12 @@ use super::{exit::Failure, optimize_args::OptimizeArgs, picture_args::PictureArg
 #[derive(Args, Clone, Debug)]
 pub(crate) struct JobArgs {
     /// Triangles of each level of detail, separated by commas.
-    #[arg(long, required_unless_present = "ratio", value_delimiter = ',', value_name = "N")]
+    #[arg(
+        long,
+        required_unless_present_any = ["ratio", "max_d2", "screen_size", "max_bytes"],
+        value_delimiter = ',',
+        value_name = "N"
+    )]
     triangles: Vec<u32>,
     /// The same as shares of the model's triangles, such as 0.25,0.1.
     #[arg(long, value_delimiter = ',', value_name = "SHARE")]
@@ -37,10 +42,20 @@ pub(crate) struct JobArgs {
         value_parser = word::<Topology>(&["auto", "preserve", "free"])
     )]
     topology: Topology,
-    /// Simplify no further by pictures than to so much of d2, in percent, even where a target is not
-    /// reached; 0 for no limit.
-    #[arg(long, default_value_t = 0.0, value_name = "PERCENT")]
-    max_d2: f64,
+    /// Each level goes no further than to so much of d2, in percent; one value is for all levels, 0 for no
+    /// limit.
+    #[arg(long, value_delimiter = ',', value_name = "PERCENT")]
+    max_d2: Vec<f64>,
+    /// Each level may stand in for the model where its bounding sphere is so many pixels high on the screen;
+    /// one value is for all levels, 0 for no limit.
+    #[arg(long, value_delimiter = ',', value_name = "PIXELS")]
+    screen_size: Vec<f64>,
+    /// The file of each level has at most so many bytes, images included; one value is for all levels, 0 for
+    /// no limit.
+    #[arg(long, value_delimiter = ',', value_name = "BYTES")]
+    max_bytes: Vec<u64>,
+    #[command(flatten)]
+    locks: LockArgs,
     #[command(flatten)]
     pictures: PictureArgs,
     /// The image-driven stage starts at this multiple of the largest level.
@@ -60,6 +75,22 @@ pub(crate) struct JobArgs {
     /// Seed of everything random.
     #[arg(long, default_value_t = 0)]
     seed: u64,
+}
+
+/// What stays where it is.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct LockArgs {
+    /// Leave vertices where they are that lie along these edges: border, seam, hard-edge.
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "EDGES",
+        value_parser = word::<Lock>(&["border", "seam", "hard-edge"])
+    )]
+    pub(crate) lock: Vec<Lock>,
+    /// Where the surface turns by so much or more, an edge is hard (--lock hard-edge).
+    #[arg(long, default_value_t = 60.0, value_name = "DEGREES")]
+    pub(crate) hard_edge_degrees: f64,
 }
 
 /// Fields of the specification whose flag has another name.
@@ -89,6 +120,10 @@ impl JobArgs {
             start_factor: self.start_factor,
             lambda: self.lambda,
             max_d2: self.max_d2,
+            screen_size: self.screen_size,
+            max_bytes: self.max_bytes,
+            lock: self.locks.lock,
+            hard_edge_degrees: self.locks.hard_edge_degrees,
             render: self.pictures.render(),
             optimize: self.optimize.optimize(),
             max_evaluations: self.max_evaluations,
@@ -166,10 +201,20 @@ mod tests {
         let read = spec(&flags).unwrap();
         assert_eq!((read.method, read.topology), (Method::Memoryless, Topology::Free));
         assert_eq!(read.render.custom_views, [[-1.0, 0.0, 0.5]]);
-        assert_eq!(spec(&["--triangles=9", "--max-d2=1.5"]).unwrap().max_d2, 1.5);
-        for bad in
-            ["--simplify=magic", "--topology=bound", "--view=1,2", "--view=a,b,c", "--triangles=-1"]
-        {
+        assert_eq!(spec(&["--triangles=9", "--max-d2=1.5"]).unwrap().max_d2, [1.5]);
+        let read =
+            spec(&["--screen-size=300,60", "--max-bytes=0,90000", "--lock=border,hard-edge"])
+                .unwrap();
+        assert_eq!((read.screen_size, read.max_bytes), (vec![300.0, 60.0], vec![0, 90_000]));
+        assert_eq!((read.lock, read.hard_edge_degrees), (vec![Lock::Border, Lock::HardEdge], 60.0));
+        for bad in [
+            "--simplify=magic",
+            "--lock=all",
+            "--topology=bound",
+            "--view=1,2",
+            "--view=a,b,c",
+            "--triangles=-1",
+        ] {
             assert!(Probe::try_parse_from(["probe", "--triangles=9", bad]).is_err(), "{bad}");
         }
     }

@@ -8,7 +8,7 @@ use lookalike::jobs::spec::{Input, Spec, Topology};
 
 use super::{
     exit::Failure,
-    job_args::{checked, word},
+    job_args::{LockArgs, checked, word},
     optimize_args::OptimizeArgs,
     picture_args::PictureArgs,
     remote::ServerArgs,
@@ -35,6 +35,8 @@ pub(crate) struct OptimizeCommandArgs {
     /// Keep holes as they are, or let small ones close.
     #[arg(long, default_value = "free", value_parser = word::<Topology>(&["preserve", "free"]))]
     topology: Topology,
+    #[command(flatten)]
+    locks: LockArgs,
     /// Stop after this many seconds, set-up included; 0 for no limit.
     #[arg(long, default_value_t = 0.0, value_name = "SECS")]
     max_secs: f64,
@@ -52,6 +54,8 @@ pub(crate) async fn run(args: OptimizeCommandArgs) -> Result<(), Failure> {
         optimize: args.optimize.optimize(),
         render: args.pictures.render(),
         topology: args.topology,
+        lock: args.locks.lock,
+        hard_edge_degrees: args.locks.hard_edge_degrees,
         max_secs: args.max_secs,
         seed: args.seed,
         ..Spec::optimizing(input)

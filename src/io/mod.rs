@@ -50,7 +50,7 @@ pub use limits::Limits;
 pub use report::{BoundingBox, IngestReport, Note};
 pub use write::{PlyPositions, write_glb, write_obj, write_ply};
 
-use crate::mesh::Mesh;
+use crate::mesh::{Marks, Mesh};
 use source::Source;
 
 /// A mesh and what was found and done while reading it.
@@ -58,6 +58,8 @@ use source::Source;
 pub struct Ingest {
     /// World space, instances placed, coincident points joined.
     pub mesh: Mesh,
+    /// What the file says of single vertices: `_LOCK` and `_WEIGHT`, in PLY `lock` and `weight`.
+    pub marks: Marks,
     /// Counts and notes.
     pub report: IngestReport,
 }
@@ -81,5 +83,5 @@ pub fn read(name: &str, bytes: &[u8], limits: &Limits) -> Result<Ingest, IoError
     let mut welded = weld::weld(&source, soup)?;
     picture::decode_base_textures(&mut welded.mesh, limits, &mut welded.notes);
     let report = report::survey(format.name, &mut welded);
-    Ok(Ingest { mesh: welded.mesh, report })
+    Ok(Ingest { mesh: welded.mesh, marks: welded.marks, report })
 }

@@ -14,7 +14,7 @@ use super::{
     IoError,
     intern::Interner,
     mtl,
-    soup::{Attribute, Patch, PatchMaterials, Soup},
+    soup::{Attribute, Patch, PatchMaterials, PointMarks, Soup},
     source::Source,
 };
 use crate::{
@@ -284,6 +284,7 @@ impl<'a> Reader<'a> {
             triangles: self.triangles,
             attributes,
             materials: PatchMaterials::Each(self.face_materials),
+            marks: PointMarks::default(),
         };
         self.soup.push(self.source, patch)?;
         Ok(self.soup)

@@ -3,7 +3,7 @@
 //! Invariants of a [`Soup`], established by [`Soup::push`]:
 //! 1. every triangle index is below its patch's number of points;
 //! 2. the points that triangles use are finite;
-//! 3. each attribute has `width` values for every point;
+//! 3. each attribute has `width` values for every point, marks have one or none;
 //! 4. counts are within the limits.
 
 use glam::DVec3;
@@ -19,7 +19,17 @@ pub(super) struct Patch {
     pub(super) positions: Vec<DVec3>,
     pub(super) triangles: Vec<[u32; 3]>,
     pub(super) attributes: Vec<Attribute>,
+    pub(super) marks: PointMarks,
     pub(super) materials: PatchMaterials,
+}
+
+/// What is said of single points.
+#[derive(Debug, Default)]
+pub(super) struct PointMarks {
+    /// What is not 0 locks the point; empty: none.
+    pub(super) locks: Vec<f32>,
+    /// How much the surroundings of the point matter; empty: 1 everywhere.
+    pub(super) weights: Vec<f32>,
 }
 
 /// Which material the triangles of a patch have.

@@ -9,21 +9,23 @@
 //!    colours are white, texture coordinates 0, and normals are computed (the area-weighted mean
 //!    over the patch's triangles at that point). The same mends zero and non-finite normals.
 //!    Tangents cannot be made up: the layer goes unless every patch has it.
-//! 5. Vertices, wedges and triangles keep the order of the file.
+//! 5. A vertex is locked if one of its points is, and matters as much as the one that matters most.
+//! 6. Vertices, wedges and triangles keep the order of the file.
 
 use glam::{DVec3, Vec3};
 
 use super::{
     IoError,
     intern::Interner,
-    soup::{Attribute, Notes, Patch, PatchMaterials, Soup, defaults_of},
+    soup::{Attribute, Notes, Patch, PatchMaterials, PointMarks, Soup, defaults_of},
     source::Source,
 };
-use crate::mesh::{AttributeLayer, Material, Mesh, Semantic};
+use crate::mesh::{AttributeLayer, MAX_WEIGHT, Marks, Material, Mesh, Semantic, VertexId};
 
 /// The mesh and what the report needs beside it.
 pub(super) struct Welded {
     pub(super) mesh: Mesh,
+    pub(super) marks: Marks,
     pub(super) n_triangles_in_file: u64,
     pub(super) n_points_in_file: u64,
     pub(super) n_degenerate: u64,
@@ -44,6 +46,10 @@ pub(super) fn weld(source: &Source<'_>, soup: Soup) -> Result<Welded, IoError> {
         complete_attributes(patch, &layers, &mut notes);
     }
     let mut joiner = Joiner::new(layers);
+    let has_weights = patches.iter().any(|p| !p.marks.weights.is_empty());
+    for patch in &mut patches {
+        settle_weights(patch, has_weights, &mut notes);
+    }
     for patch in patches {
         joiner.join(&patch);
     }
@@ -54,8 +60,17 @@ pub(super) fn weld(source: &Source<'_>, soup: Soup) -> Result<Welded, IoError> {
         }));
     }
     let n_degenerate = joiner.n_degenerate;
-    let mesh = Mesh { textures, images, ..joiner.into_mesh(materials) };
-    Ok(Welded { mesh, n_triangles_in_file, n_points_in_file, n_degenerate, n_instances, notes })
+    let (mesh, marks) = joiner.into_mesh(materials);
+    let mesh = Mesh { textures, images, ..mesh };
+    Ok(Welded {
+        mesh,
+        marks,
+        n_triangles_in_file,
+        n_points_in_file,
+        n_degenerate,
+        n_instances,
+        notes,
+    })
 }
 
 /// The layers of the mesh, in a fixed order.
@@ -114,6 +129,22 @@ fn complete_attributes(patch: &mut Patch, layers: &[Semantic], notes: &mut Notes
     mend_normals(patch);
 }
 
+/// Weights of every point where some patch has any, in range.
+fn settle_weights(patch: &mut Patch, is_wanted: bool, notes: &mut Notes) {
+    let weights = &mut patch.marks.weights;
+    if is_wanted && weights.is_empty() {
+        weights.resize(patch.positions.len(), 1.0);
+    }
+    for weight in weights {
+        let settled = if weight.is_nan() { 1.0 } else { weight.clamp(0.0, MAX_WEIGHT) };
+        if *weight != settled {
+            let text = format!("weights are held to 0 to {MAX_WEIGHT}");
+            notes.add("weight_clamped", text);
+        }
+        *weight = settled;
+    }
+}
+
 /// Replaces zero normals (missing ones are zero by now) by the area-weighted mean.
 fn mend_normals(patch: &mut Patch) {
     let Patch { positions, triangles, attributes, .. } = patch;
@@ -166,6 +197,8 @@ struct Joiner {
     positions: Interner,
     /// Records: vertex, then the bits of all layers.
     wedges: Interner,
+    /// By vertex.
+    marks: Marks,
     faces: Vec<[u32; 3]>,
     face_wedges: Vec<[u32; 3]>,
     face_materials: Vec<u32>,
@@ -179,6 +212,7 @@ impl Joiner {
             layers,
             positions: Interner::new(6),
             wedges: Interner::new(1 + width),
+            marks: Marks::default(),
             faces: Vec::new(),
             face_wedges: Vec::new(),
             face_materials: Vec::new(),
@@ -189,6 +223,7 @@ impl Joiner {
     fn join(&mut self, patch: &Patch) {
         let used = points_used(patch, |_| true);
         let vertex_of_point = self.number_vertices(&patch.positions, &used);
+        self.mark_vertices(&patch.marks, &vertex_of_point, &used);
         let is_kept = |t: &[u32; 3]| {
             let [a, b, c] = t.map(|p| vertex_of_point[p as usize]);
             a != b && b != c && c != a
@@ -232,6 +267,25 @@ impl Joiner {
         positions.iter().zip(used).map(number).collect()
     }
 
+    fn mark_vertices(&mut self, marks: &PointMarks, vertex_of_point: &[u32], used: &[bool]) {
+        let n_vertices = self.positions.len();
+        let points =
+            || vertex_of_point.iter().zip(used).enumerate().filter(|(_, (_, used))| **used);
+        if !marks.locks.is_empty() {
+            self.marks.locked.resize(n_vertices, false);
+            points().for_each(|(p, (v, _))| {
+                self.marks.locked[*v as usize] |= marks.locks[p] != 0.0;
+            });
+        }
+        if !marks.weights.is_empty() {
+            self.marks.weights.resize(n_vertices, 0.0);
+            points().for_each(|(p, (v, _))| {
+                let weight = &mut self.marks.weights[*v as usize];
+                *weight = weight.max(marks.weights[p]);
+            });
+        }
+    }
+
     /// The wedge of each used point, 0 for the others.
     fn number_wedges(
         &mut self,
@@ -257,17 +311,18 @@ impl Joiner {
     }
 
     /// Leaves out the vertices that only dropped triangles used.
-    fn into_mesh(mut self, materials: Vec<Material>) -> Mesh {
+    fn into_mesh(mut self, materials: Vec<Material>) -> (Mesh, Marks) {
         let positions = self.positions.into_words();
         let mut is_used = vec![false; positions.len() / 6];
         for v in self.faces.iter().flatten() {
             is_used[*v as usize] = true;
         }
         let mut new_ids = Vec::with_capacity(is_used.len());
-        let mut kept = Vec::new();
-        for (words, used) in positions.chunks_exact(6).zip(&is_used) {
+        let (mut kept, mut kept_ids) = (Vec::new(), Vec::new());
+        for (v, (words, used)) in positions.chunks_exact(6).zip(&is_used).enumerate() {
             new_ids.push(kept.len() as u32);
             if *used {
+                kept_ids.push(VertexId(v as u32));
                 let word = |k: usize| u64::from(words[k]);
                 let x = |k: usize| f64::from_bits(word(k) | word(k + 1) << 32);
                 kept.push(DVec3::new(x(0), x(2), x(4)));
@@ -279,7 +334,7 @@ impl Joiner {
         if self.face_materials.iter().all(|m| *m == 0) {
             self.face_materials.clear();
         }
-        Mesh {
+        let mesh = Mesh {
             positions: kept,
             faces: self.faces,
             face_wedges: self.face_wedges,
@@ -287,7 +342,8 @@ impl Joiner {
             layers: split_layers(&self.layers, &self.wedges.into_words()),
             materials,
             ..Mesh::default()
-        }
+        };
+        (mesh, self.marks.of(&kept_ids))
     }
 }
 

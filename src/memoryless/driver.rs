@@ -66,15 +66,41 @@ pub fn simplify(
     params: &Params,
     on: &mut dyn FnMut(Step<'_>) -> ControlFlow<()>,
 ) -> Outcome {
-    let mut run = Run::new(mesh, params);
-    let reporter = Reporter::new(run.mesh.n_faces(), target_faces as usize);
-    let stopped_by = run.collapse_until(target_faces as usize, reporter, on);
-    Outcome {
-        reached: run.mesh.n_faces() <= target_faces as usize,
-        faces: run.mesh.n_faces() as u32,
-        collapses: u64::from(run.now),
-        evaluations: run.evaluations,
-        stopped_by,
+    Simplifier::new(mesh, params).run_to(target_faces, on)
+}
+
+/// Memoryless simplification in progress: run it to one target after another, coarser each time.
+pub struct Simplifier<'a>(Run<'a>);
+
+impl<'a> Simplifier<'a> {
+    /// Gets ready: judges every edge.
+    pub fn new(mesh: &'a mut EditMesh, params: &'a Params) -> Self {
+        Self(Run::new(mesh, params))
+    }
+
+    /// The mesh as it is now.
+    pub fn mesh(&self) -> &EditMesh {
+        self.0.mesh
+    }
+
+    /// As [`simplify`], from where the run before ended.
+    pub fn run_to(
+        &mut self,
+        target_faces: u32,
+        on: &mut dyn FnMut(Step<'_>) -> ControlFlow<()>,
+    ) -> Outcome {
+        let run = &mut self.0;
+        let before = (run.now, run.n_told);
+        let reporter = Reporter::new(run.mesh.n_faces(), target_faces as usize);
+        let stopped_by = run.collapse_until(target_faces as usize, reporter, on);
+        run.n_told = run.evaluations;
+        Outcome {
+            reached: run.mesh.n_faces() <= target_faces as usize,
+            faces: run.mesh.n_faces() as u32,
+            collapses: u64::from(run.now - before.0),
+            evaluations: run.evaluations - before.1,
+            stopped_by,
+        }
     }
 }
 
@@ -102,6 +128,8 @@ struct Run<'a> {
     /// When an edge was last evaluated; [`ASIDE`], [`DEAD`].
     evaluated_at: Vec<u32>,
     evaluations: u64,
+    /// Evaluations of the runs before.
+    n_told: u64,
     /// Edges wait at vertices of more triangles.
     max_valence: usize,
     scratch: Scratch,
@@ -138,6 +166,7 @@ impl<'a> Run<'a> {
             fans: vec![Fan::default(); n_vertices],
             evaluated_at: vec![0; n_edges],
             evaluations: 0,
+            n_told: 0,
             max_valence: MAX_VALENCE,
             scratch: Scratch::default(),
         };
@@ -246,7 +275,8 @@ impl<'a> Run<'a> {
         self.evaluations += 1;
         self.evaluated_at[edge.index()] = self.now;
         let length2 = self.mesh.position(ends[0]).distance_squared(self.mesh.position(ends[1]));
-        let cost = found.cost + FLAT_SHARE * length2 * length2 * length2;
+        let cost =
+            found.cost * self.mesh.weight_around(ends) + FLAT_SHARE * length2 * length2 * length2;
         (Entry::new(cost, edge), found)
     }
 
@@ -274,7 +304,7 @@ impl<'a> Run<'a> {
     }
 
     fn collapse(&mut self, edge: EdgeId, to: DVec3) -> Collapse {
-        let [keep, drop] = self.edges.ends(edge);
+        let [keep, drop] = self.mesh.survivor_first(self.edges.ends(edge));
         let collapse = self.mesh.collapse(keep, drop, to);
         for dead in self.edges.apply(self.mesh, &collapse).died {
             self.evaluated_at[dead.index()] = DEAD;

@@ -7,7 +7,7 @@
 //!    is remembered;
 //! 2. results depend on nothing else either: no clock, no hashing order, no threads; equal costs
 //!    go by edge id;
-//! 3. every edit that [`simplify`] makes is legal under the topology switch and told to the sink.
+//! 3. every edit that a run makes is legal under the topology switch and told to the sink.
 //!
 //! Knows nothing of attributes (the mesh carries them along), files, pictures or jobs.
 
@@ -22,6 +22,6 @@ mod queue;
 #[cfg(test)]
 mod tests;
 
-pub use driver::{Outcome, StoppedBy, may_collapse, simplify};
+pub use driver::{Outcome, Simplifier, StoppedBy, may_collapse, simplify};
 pub use params::{Params, Scheme, Start};
 pub use placement::{Placement, Scratch, placement, turns_too_far};

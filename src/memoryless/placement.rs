@@ -30,7 +30,7 @@ pub struct Scratch {
 /// The placement for collapsing the edge (a, b), whether or not that is legal. `None` if the two
 /// share no triangle.
 ///
-/// Coincident ends collapse in place at no cost.
+/// Coincident ends collapse in place at no cost, and those of which one is locked at that end.
 pub fn placement(
     mesh: &EditMesh,
     a: VertexId,
@@ -52,8 +52,9 @@ pub(super) fn placement_between(
     params: &Params,
     scratch: &mut Scratch,
 ) -> Placement {
+    let fixed = mesh.fixed_place(ends);
     let Some(around) = Surroundings::new(mesh, ends, fans) else {
-        return Placement { to: mesh.position(ends[0]), cost: 0.0 };
+        return Placement { to: fixed.unwrap_or_else(|| mesh.position(ends[0])), cost: 0.0 };
     };
     let mut cost = around.volume * params.lambda;
     let is_closed = ends.iter().all(|&end| mesh.is_closed_fan(end));
@@ -64,10 +65,10 @@ pub(super) fn placement_between(
     }
     let preservation = boundary.as_ref().map(|b| &b.preservation);
     let mut place = Place { mesh, ends, around: &around, cost: &cost, preservation, scratch };
-    let x = place.find(params);
+    let x = fixed.map_or_else(|| place.find(params), |at| around.local(at));
     let length2 = around.length * around.length;
     let cost = cost.value(x) * (length2 * length2 * length2);
-    Placement { to: around.middle + x * around.length, cost }
+    Placement { to: fixed.unwrap_or(around.middle + x * around.length), cost }
 }
 
 /// What decides where a vertex goes, in the edge's frame.

@@ -7,7 +7,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::mesh::{
-    Collapse, EdgeTable, Edit, EditMesh, Mesh, Stage, Step, Topology, VertexId, shapes,
+    Collapse, EdgeTable, Edit, EditMesh, Marks, Mesh, Stage, Step, Topology, VertexId, shapes,
 };
 
 /// Simplifies a mesh and hands back what is left of it.
@@ -342,4 +342,49 @@ proptest! {
             prop_assert!(turns == (angle > limit) || (angle - limit).abs() < 1e-6);
         }
     }
+}
+
+/// Where the locked vertices of a mesh are.
+fn places_of_locked(mesh: &EditMesh) -> Vec<Option<DVec3>> {
+    let ids = (0..mesh.n_vertex_slots() as u32).map(VertexId).filter(|v| mesh.is_locked(*v));
+    ids.map(|v| mesh.is_used(v).then(|| mesh.position(v))).collect()
+}
+
+proptest! {
+    #[test]
+    fn locked_vertices_stay(
+        mask in prop::collection::vec(prop::bool::weighted(0.15), 169),
+        is_free in any::<bool>(),
+        is_open in any::<bool>(),
+    ) {
+        let mesh = if is_open { shapes::terrain(12, 0.3) } else { shapes::torus(13, 13, 0.1) };
+        let marks = Marks { locked: mask, ..Marks::default() };
+        let mut mesh = EditMesh::new(mesh).unwrap().with_marks(marks);
+        let before = places_of_locked(&mesh);
+        let topology = if is_free { Topology::Free } else { Topology::Preserve };
+        let params = Params { topology, ..Params::default() };
+        let outcome = simplify(&mut mesh, 2, &params, &mut |_| ControlFlow::Continue(()));
+        mesh.validate().unwrap();
+        prop_assert_eq!(places_of_locked(&mesh), before.clone());
+        prop_assert!(outcome.collapses > 0);
+        prop_assert!(before.len() < 4 || mesh.is_held_by_locks(topology));
+    }
+}
+
+#[test]
+fn what_matters_less_goes_first() {
+    // A terrain like waves, of which the left half matters a hundredth as much.
+    let mesh = shapes::terrain(20, 0.2);
+    let n_left = |weights: Vec<f32>| {
+        let marks = Marks { weights, ..Marks::default() };
+        let mut mesh = EditMesh::new(mesh.clone()).unwrap().with_marks(marks);
+        simplify(&mut mesh, 300, &Params::default(), &mut |_| ControlFlow::Continue(()));
+        let middle = |f| mesh.vertices_of(f).map(|v| mesh.position(v).x).iter().sum::<f64>() / 3.0;
+        mesh.faces().filter(|f| middle(*f) < 0.5).count()
+    };
+    let as_they_are = n_left(Vec::new());
+    assert_eq!(n_left(vec![1.0; 441]), as_they_are);
+    let weights = mesh.positions.iter().map(|p| if p.x < 0.5 { 0.01 } else { 1.0 }).collect();
+    let weighed = n_left(weights);
+    assert!(2 * weighed < as_they_are, "{weighed} of {as_they_are}");
 }

@@ -23,6 +23,7 @@ impl EditMesh {
     pub fn collapse(&mut self, keep: VertexId, drop: VertexId, to: DVec3) -> Collapse {
         let record = self.plan_collapse(keep, drop, to);
         self.recollapse(&record);
+        self.join_weights(keep, drop);
         record
     }
 

@@ -21,6 +21,7 @@ use smallvec::SmallVec;
 
 use super::error::{MeshError, Violation};
 use super::lists::{CacheLine, Lists};
+use super::marks::Marks;
 use super::model::{Corner, FaceId, Mesh, VertexId, WedgeId};
 use crate::intrinsics::prefetch;
 
@@ -34,6 +35,7 @@ pub struct EditMesh {
     pub(super) normals: Vec<DVec3>,
     pub(super) n_faces: usize,
     pub(super) n_vertices: usize,
+    pub(super) marks: Marks,
 }
 
 /// The surroundings of a vertex.
@@ -66,6 +68,7 @@ impl EditMesh {
             mesh,
             n_faces,
             n_vertices: 0,
+            marks: Marks::default(),
         };
         for f in 0..n_faces {
             let vertices = this.mesh.faces[f];

@@ -98,12 +98,13 @@ impl EditMesh {
         found.map_or(Legality::Legal, |&(obstacle, _)| obstacle)
     }
 
-    /// Whether collapsing the edge (a, b) is allowed under the given switch.
+    /// Whether collapsing the edge (a, b) is allowed under the given switch, and by what is locked.
     pub fn may_collapse(&self, a: VertexId, b: VertexId, topology: Topology) -> bool {
-        match topology {
+        let is_permitted = match topology {
             Topology::Preserve | Topology::CloseHoles => topology.permits(self.legality(a, b)),
             Topology::Free => !self.edge_faces(a, b).is_empty(),
-        }
+        };
+        is_permitted && self.respects_locks(a, b)
     }
 
     /// Whether the edge lies in the inside of an ordinary surface and no rule can object: both

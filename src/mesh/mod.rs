@@ -9,6 +9,7 @@ mod edit_mesh;
 mod error;
 mod legality;
 mod lists;
+mod marks;
 mod model;
 mod refine;
 mod revise;
@@ -27,6 +28,7 @@ pub use edit::{
 pub use edit_mesh::EditMesh;
 pub use error::{MAX_FACES, MeshError, Violation};
 pub use legality::{Legality, Topology};
+pub use marks::{Feature, MAX_WEIGHT, Marks};
 pub use model::{
     AttributeLayer, Corner, Coverage, EdgeId, FaceId, Image, Material, Mesh, Pixels, Semantic,
     Texture, TextureUse, VertexId, WedgeId, Wrap,

@@ -22,8 +22,11 @@ impl EditMesh {
         Some(record)
     }
 
-    /// What splitting the edge (a, b) would do, without doing it.
+    /// What splitting the edge (a, b) would do, without doing it. `None` too if both ends are locked.
     pub fn plan_split(&self, a: VertexId, b: VertexId, at: DVec3) -> Option<Split> {
+        if self.is_locked(a) && self.is_locked(b) {
+            return None;
+        }
         let faces = self.edge_faces(a, b);
         let first_new_wedge = self.next_wedge();
         let mut pairs: SmallVec<[Pair; 2]> = SmallVec::new();
@@ -52,6 +55,7 @@ impl EditMesh {
     pub fn resplit(&mut self, record: &Split) {
         let v = record.vertex;
         self.push_vertex(record.at);
+        self.push_weight([record.a, record.b]);
         self.append_wedges(&record.new_wedges);
         for half in &record.halves {
             let [at_a, at_b] = [record.a, record.b].map(|end| corner_of(half.vertices, end));
@@ -106,6 +110,7 @@ impl EditMesh {
         }
         self.truncate_wedges(record.first_new_wedge);
         self.pop_vertex();
+        self.pop_weight();
         self.refresh_normals(record.b);
     }
 
@@ -122,7 +127,7 @@ impl EditMesh {
 
     /// Replaces the interior edge (a, b) of triangles (a, b, c) and (b, a, d) by the edge (c, d).
     /// `None` unless the edge has exactly two triangles of opposite direction, one material and
-    /// the same wedges on both sides, and c and d are different and not yet joined.
+    /// the same wedges on both sides, c and d are different and not yet joined, and a or b is not locked.
     pub fn swap(&mut self, a: VertexId, b: VertexId) -> Option<Swap> {
         let record = self.plan_swap(a, b)?;
         self.reswap(&record);
@@ -131,6 +136,9 @@ impl EditMesh {
 
     /// What [`Self::swap`] would do, without doing it.
     pub fn plan_swap(&self, a: VertexId, b: VertexId) -> Option<Swap> {
+        if self.is_locked(a) && self.is_locked(b) {
+            return None;
+        }
         let [left, right] = self.edge_faces(a, b).into_inner().ok()?;
         // `left` is the triangle that runs from a to b.
         let runs_ab = |f| next(self.vertices_of(f), a) == b;

@@ -252,14 +252,15 @@ impl Objective {
         self.evaluations
     }
 
-    /// Sum of squared luminance differences over all pictures, 0..=255 units.
+    /// Sum of squared luminance differences over all pictures, each as often as its view counts, 0..=255
+    /// units.
     pub fn energy(&self) -> u64 {
         self.evaluator.energy()
     }
 
     /// The papers' d2 on the run-time views: percent of full scale.
     pub fn d2_percent(&self) -> f64 {
-        d2_percent(self.energy(), self.scene.n_pixels())
+        d2_percent(self.energy(), self.scene.n_counted_pixels())
     }
 
     /// The change of energy of each move.

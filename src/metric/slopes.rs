@@ -9,7 +9,7 @@
 //! Bends are those of Gauss and Newton: never negative, a matrix for each vertex.
 //!
 //! Invariants:
-//! 1. sums over views run in view order, so the result does not depend on threads;
+//! 1. sums over views, as often as each counts, run in view order, so the result does not depend on threads;
 //! 2. nothing is judged here: whether a step along a slope helps, the pictures must tell.
 
 use glam::{DMat3, DVec2, DVec3};
@@ -94,13 +94,14 @@ pub fn slopes(scene: &Scene, reference: &Reference, has_own_normals: bool) -> Sl
         part
     };
     let parts: Vec<Slopes> = (0..scene.n_views()).into_par_iter().map(of_view).collect();
-    for part in parts {
-        sum.energy += part.energy;
-        sum.faces.iter_mut().zip(&part.faces).for_each(|(total, one)| *total += one);
+    for (part, view) in parts.into_iter().zip(&scene.views) {
+        let weight = f64::from(view.weight);
+        sum.energy += weight * part.energy;
+        sum.faces.iter_mut().zip(&part.faces).for_each(|(total, one)| *total += weight * one);
         let totals = sum.places.iter_mut().chain(&mut sum.normals);
         for (total, one) in totals.zip(part.places.iter().chain(&part.normals)) {
-            total.gradient += one.gradient;
-            total.bend += one.bend;
+            total.gradient += weight * one.gradient;
+            total.bend += weight * one.bend;
         }
     }
     if !has_own_normals {

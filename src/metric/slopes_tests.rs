@@ -27,7 +27,9 @@ fn stage(shading: Shading, projection: Projection) -> (ViewSet, Mesh) {
     let params =
         RenderParams { image_size: 256, shading, ambient: 0.1, background: 128, interior_views: 0 };
     let sphere = bounding_sphere(&original);
-    let pictures = Pictures::of(&original, params, cameras(&sphere, &view_params));
+    let mut views = cameras(&sphere, &view_params);
+    views[2].weight = 5;
+    let pictures = Pictures::of(&original, params, views);
     let set = ViewSet::turned(&original, &pictures, sphere.center, 1);
     (set, with_vertex_normals(shapes::torus(9, 7, 0.0)))
 }

@@ -104,7 +104,7 @@ struct Particle {
     bend: DMat3,
     /// The sum of the last places.
     sum: DVec3,
-    /// 0 for a slot that no vertex uses.
+    /// 0 for a slot that no vertex uses, and where the vertex is locked.
     longest_step: f64,
 }
 
@@ -112,13 +112,16 @@ impl Walk {
     fn new(mesh: &EditMesh, unknowns: Unknowns, n_steps: usize) -> Self {
         let slots = || (0..mesh.n_vertex_slots() as u32).map(VertexId);
         let place = |v| {
-            if mesh.is_used(v) {
+            if mesh.is_locked(v) {
+                Particle::new(mesh.position(v), 0.0)
+            } else if mesh.is_used(v) {
                 Particle::new(mesh.position(v), LONGEST_STEP * mesh.mean_edge_length(v))
             } else {
                 Particle::default()
             }
         };
         let normal = |v| match stored_normal(mesh, v) {
+            Some(normal) if mesh.is_locked(v) => Particle::new(normal, 0.0),
             Some(normal) if mesh.is_used(v) => Particle::new(normal, LONGEST_TURN),
             _ => Particle::default(),
         };

@@ -147,10 +147,16 @@ impl Proposer<'_> {
         edge: [VertexId; 2],
         place: Option<DVec3>,
     ) -> Option<Proposal> {
+        let edge = self.mesh.survivor_first(edge);
         let [a, b] = edge;
         let middle = self.mesh.position(a).midpoint(self.mesh.position(b));
         let (plan, free) = match operation.kind {
-            Kind::NoOp => (Plan::Nothing, self.around_edge(edge, operation.level)),
+            Kind::NoOp => {
+                let free = self.around_edge(edge, operation.level);
+                // All of them may be locked.
+                free.first()?;
+                (Plan::Nothing, free)
+            }
             Kind::Swap => {
                 let plan = self.mesh.plan_swap(a, b)?;
                 (Plan::Swap(plan), self.around_swap(&plan, operation.level))
@@ -161,7 +167,8 @@ impl Proposer<'_> {
                 (Plan::Split(plan), free)
             }
             Kind::Collapse => {
-                let plan = self.mesh.plan_collapse(a, b, place.unwrap_or(middle));
+                let place = self.mesh.fixed_place(edge).or(place).unwrap_or(middle);
+                let plan = self.mesh.plan_collapse(a, b, place);
                 let free = self.around_collapse(&plan, operation.level);
                 (Plan::Collapse(plan), free)
             }
@@ -233,10 +240,11 @@ impl Proposer<'_> {
         with(&of_a, &of_b)
     }
 
+    /// Those that are not locked.
     fn at_rest(&self, vertices: &[VertexId]) -> Vec<Free> {
         let free =
             |&v: &VertexId| Free { vertex: v, at: self.mesh.position(v), normal: self.normal(v) };
-        vertices.iter().map(free).collect()
+        vertices.iter().filter(|v| !self.mesh.is_locked(**v)).map(free).collect()
     }
 
     fn normal(&self, v: VertexId) -> DVec3 {
@@ -322,8 +330,12 @@ impl Proposer<'_> {
         (0.25 * sum / ring.len().max(1) as f64).max(0.02)
     }
 
-    /// Normal and two tangents; the axes of space for a simplex, as in the paper.
+    /// Normal and two tangents; the axes of space for a simplex, as in the paper; none for a locked vertex
+    /// into which an edge collapses.
     fn frame(&self, edge: [VertexId; 2], v: VertexId) -> [DVec3; 3] {
+        if self.mesh.is_locked(v) {
+            return [DVec3::ZERO; 3];
+        }
         if self.params.solver == Solver::Simplex {
             return DVec3::AXES;
         }

@@ -45,7 +45,7 @@ fn potentials(mesh: &EditMesh, objective: &mut Objective) -> Result<Option<Vec<f
         let blurred = expand(&reduce(&differences), differences.size);
         for (v, sum) in sums.iter_mut().enumerate() {
             let p = scene.views[view].project(mesh.position(VertexId(v as u32)));
-            *sum += f64::from(blurred.at(p.x, p.y));
+            *sum += f64::from(scene.views[view].weight) * f64::from(blurred.at(p.x, p.y));
         }
     }
     Ok(Some(sums))

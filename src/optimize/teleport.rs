@@ -212,8 +212,11 @@ fn judge(run: &mut Run<'_>, edges: &[Ends]) -> Result<(), RenderError> {
     Ok(())
 }
 
-/// The memoryless optimum, the midpoint and the ends.
+/// The memoryless optimum, the midpoint and the ends; the end that is locked, if one is.
 fn places(run: &Run<'_>, ends: Ends, scratch: &mut memoryless::Scratch) -> Vec<DVec3> {
+    if let Some(fixed) = run.mesh.fixed_place(ends) {
+        return vec![fixed];
+    }
     let [a, b] = ends.map(|v| run.mesh.position(v));
     let params = memoryless::Params::default();
     let optimum = memoryless::placement(run.mesh, ends[0], ends[1], &params, scratch);

@@ -10,6 +10,7 @@ use super::{
     lattice::{DEPTH_BITS, PixelRect, Setup},
     nearest::Nearest,
     scene::{Scene, SceneFace},
+    view::View,
 };
 
 /// One fragment: what a triangle leaves in a pixel it covers.
@@ -123,13 +124,11 @@ pub fn fragment(s: &Setup, texels: &[u32], face: u32, i: i32, j: i32) -> Fragmen
     Fragment { z: s.depth.at(i, j, DEPTH_BITS) as u16, lum: s.lum_at(texels, i, j), face }
 }
 
-/// Sum over all pictures of the squared difference to the reference.
-pub fn energy(reference: &Reference, pictures: &[Vec<u8>]) -> u64 {
+/// Sum over all pictures of the squared difference to the reference, each as often as its view counts.
+pub fn energy(views: &[View], reference: &Reference, pictures: &[Vec<u8>]) -> u64 {
     let square = |a: u8, b: u8| u64::from(a.abs_diff(b)).pow(2);
-    reference
-        .pictures
-        .iter()
-        .zip(pictures)
-        .map(|(r, p)| r.iter().zip(p).map(|(a, b)| square(*a, *b)).sum::<u64>())
-        .sum()
+    let of_view = |(view, (r, p)): (&View, (&Vec<u8>, &Vec<u8>))| {
+        u64::from(view.weight) * r.iter().zip(p).map(|(a, b)| square(*a, *b)).sum::<u64>()
+    };
+    views.iter().zip(reference.pictures.iter().zip(pictures)).map(of_view).sum()
 }

@@ -126,6 +126,12 @@ impl Scene {
         u64::from(self.params.image_size).pow(2) * self.n_views() as u64
     }
 
+    /// Pixels in all pictures, as often as they count.
+    pub fn n_counted_pixels(&self) -> u64 {
+        let n_weights: u64 = self.views.iter().map(|view| u64::from(view.weight)).sum();
+        u64::from(self.params.image_size).pow(2) * n_weights
+    }
+
     /// Number of vertex slots.
     pub fn n_vertex_slots(&self) -> usize {
         self.positions.len()

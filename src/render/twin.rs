@@ -41,7 +41,7 @@ impl Twin {
         };
         let views: Vec<_> = (0..scene.n_views()).into_par_iter().map(view).collect();
         let pictures: Vec<_> = views.iter().map(|v| v.lists.picture()).collect();
-        let energy = raster::energy(reference, &pictures);
+        let energy = raster::energy(&scene.views, reference, &pictures);
         Self { views, energy, projected: Vec::new() }
     }
 
@@ -75,7 +75,10 @@ impl Evaluator for Twin {
                 moves.iter().zip(projected).map(delta).collect()
             })
             .collect();
-        Ok((0..moves.len()).map(|m| by_view.iter().map(|v| v[m]).sum()).collect())
+        let of_move = |m: usize| {
+            by_view.iter().zip(&scene.views).map(|(v, view)| i64::from(view.weight) * v[m]).sum()
+        };
+        Ok((0..moves.len()).map(of_move).collect())
     }
 
     fn commit(&mut self, scene: &mut Scene, mv: &Move) -> Result<i64, RenderError> {
@@ -89,7 +92,7 @@ impl Evaluator for Twin {
             .map(|(view, state)| {
                 let delta = view_delta(shown, mv, projected, view, state);
                 update_view(shown, mv, projected, view, &mut state.lists);
-                delta
+                i64::from(shown.views[view].weight) * delta
             })
             .sum();
         self.energy = self.energy.saturating_add_signed(delta);

@@ -56,6 +56,8 @@ pub struct View {
     pub to_light: DVec3,
     /// Perspective or orthographic.
     pub projection: Projection,
+    /// How often its picture counts in energies.
+    pub weight: u32,
     /// Half-pictures per unit of x/w (perspective) or of x (orthographic).
     focal: f64,
     /// Distance from the eye to the nearest and the farthest point of the sphere.
@@ -170,6 +172,7 @@ pub fn camera(
         back,
         to_light: back * light_cos + side * light_sin,
         projection: params.projection,
+        weight: 1,
         focal,
         near: distance - sphere.radius,
         far: distance + sphere.radius,

@@ -51,14 +51,16 @@ struct Search {
     /// Of `to`, once it was judged.
     delta: Option<i64>,
     step: f64,
+    /// There is no other place: one end is locked.
+    is_fixed: bool,
 }
 
 impl Search {
     /// Where to look now.
     fn places(&self) -> impl Iterator<Item = DVec3> {
-        let &Self { to, step, .. } = self;
+        let &Self { to, step, is_fixed, .. } = self;
         let here = self.delta.is_none().then_some(to);
-        let axes = [DVec3::X, DVec3::Y, DVec3::Z].into_iter();
+        let axes = [DVec3::X, DVec3::Y, DVec3::Z].into_iter().filter(move |_| !is_fixed);
         here.into_iter().chain(axes.flat_map(move |d| [to + d * step, to - d * step]))
     }
 
@@ -115,8 +117,10 @@ impl Judge<'_> {
     }
 
     fn start(&self, edge: EdgeId, to: DVec3) -> Search {
-        let [a, b] = self.edges.ends(edge).map(|v| self.mesh.position(v));
-        Search { edge, to, delta: None, step: 0.25 * a.distance(b) }
+        let ends = self.edges.ends(edge);
+        let [a, b] = ends.map(|v| self.mesh.position(v));
+        let is_fixed = self.mesh.fixed_place(ends).is_some();
+        Search { edge, to, delta: None, step: 0.25 * a.distance(b), is_fixed }
     }
 
     /// Each search looks around once.
@@ -148,7 +152,7 @@ impl Judge<'_> {
     }
 
     fn as_move(&self, edge: EdgeId, to: DVec3) -> Option<Move> {
-        let [a, b] = self.edges.ends(edge);
-        self.objective.collapse_move(self.mesh, &self.mesh.plan_collapse(a, b, to))
+        let [keep, drop] = self.mesh.survivor_first(self.edges.ends(edge));
+        self.objective.collapse_move(self.mesh, &self.mesh.plan_collapse(keep, drop, to))
     }
 }

@@ -103,6 +103,11 @@ const SAMPLES_PER_HALVING: usize = 40;
 /// The most edges judged in one call of the evaluator.
 const CHUNK: usize = 1024;
 
+/// The key of an edge: the change of energy, more where that matters more.
+fn weighed(delta: i64, weight: f64) -> i64 {
+    if weight == 1.0 { delta } else { (delta as f64 * weight) as i64 }
+}
+
 impl<'a> Simplifier<'a> {
     /// Gets ready to simplify `mesh`, which `objective` shows as it is now.
     pub fn new(mesh: &'a mut EditMesh, objective: &'a mut Objective, params: Params) -> Self {
@@ -124,6 +129,11 @@ impl<'a> Simplifier<'a> {
     /// The mesh as it is now.
     pub fn mesh(&self) -> &EditMesh {
         self.mesh
+    }
+
+    /// From now on, stop before a collapse that would raise the energy to more than this.
+    pub fn set_max_energy(&mut self, most: Option<u64>) {
+        self.params.max_energy = most;
     }
 
     /// The objective as it is now.
@@ -240,7 +250,8 @@ impl<'a> Simplifier<'a> {
             self.queue.remove(*edge);
         }
         for candidate in found {
-            self.queue.set(candidate.edge, candidate.delta, standing);
+            let weight = self.mesh.weight_around(self.edges.ends(candidate.edge));
+            self.queue.set(candidate.edge, weighed(candidate.delta, weight), standing);
             self.places[candidate.edge.index()] = candidate.to;
         }
     }
@@ -255,7 +266,7 @@ impl<'a> Simplifier<'a> {
             let Some(edge) = self.next_edge()? else {
                 return Ok(Err(StoppedBy::NoLegalCollapse));
             };
-            let [keep, drop] = self.edges.ends(edge);
+            let [keep, drop] = self.mesh.survivor_first(self.edges.ends(edge));
             let plan = self.mesh.plan_collapse(keep, drop, self.places[edge.index()]);
             let Some(mv) = self.objective.collapse_move(self.mesh, &plan) else {
                 self.queue.remove(edge);
@@ -288,7 +299,7 @@ impl<'a> Simplifier<'a> {
         edge: EdgeId,
         on: &mut dyn FnMut(Step<'_>) -> ControlFlow<()>,
     ) -> Result<ControlFlow<()>, SimplifyError> {
-        let [keep, drop] = self.edges.ends(edge);
+        let [keep, drop] = self.mesh.survivor_first(self.edges.ends(edge));
         let to = self.places[edge.index()];
         let record = self.mesh.collapse(keep, drop, to);
         self.objective.follow(self.mesh);

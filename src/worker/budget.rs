@@ -48,7 +48,7 @@ pub(super) fn budgets(spec: &Spec, triangles: &[usize], n_spent: u64) -> Vec<Bud
 }
 
 /// Evaluations for so many triangles; `None` means no limit.
-fn evaluations(spec: &Spec, triangles: usize) -> Option<u64> {
+pub(super) fn evaluations(spec: &Spec, triangles: usize) -> Option<u64> {
     if !spec.optimizes() {
         return Some(0);
     }

@@ -1,73 +1,16 @@
-//! The levels of detail of a job: targets in descending order, meshes as they are reached.
+//! The levels of detail of a job: how far each goes, and their meshes as they are reached.
 
 use serde::Serialize;
 
 use crate::{
     jobs::{
         event::MoveCount,
-        spec::{Spec, Topology},
+        spec::{LevelBudget, Spec, Topology},
     },
-    memoryless,
-    mesh::{EditMesh, Mesh},
-    optimize, simplify,
+    mesh::{EditMesh, Marks, Mesh},
 };
 
-use super::{pipeline::PipelineError, recorder::Recorder};
-
-/// What ended the work on a level.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum StoppedBy {
-    /// The original has no more triangles than asked for.
-    #[default]
-    Input,
-    /// The target is reached.
-    Triangles,
-    /// No collapse is left that keeps the topology (or, where it is free, any triangle).
-    NoLegalCollapse,
-    /// The budget of evaluations is spent.
-    Evaluations,
-    /// The next collapse would have lifted d2 above what is allowed.
-    D2,
-    /// The cap on wall-clock time is reached.
-    Seconds,
-    /// The energy has fallen as far as was asked (optimization).
-    Energy,
-    /// Nothing that was tried helps any more (optimization).
-    Converged,
-}
-
-impl StoppedBy {
-    /// Of a memoryless run.
-    pub(super) fn of_memoryless(by: memoryless::StoppedBy) -> Self {
-        match by {
-            memoryless::StoppedBy::Target => Self::Triangles,
-            memoryless::StoppedBy::NoLegalCollapse => Self::NoLegalCollapse,
-            memoryless::StoppedBy::Caller => Self::Seconds,
-        }
-    }
-
-    /// Of an image-driven run.
-    pub(super) fn of_image(by: simplify::StoppedBy) -> Self {
-        match by {
-            simplify::StoppedBy::Target => Self::Triangles,
-            simplify::StoppedBy::NoLegalCollapse => Self::NoLegalCollapse,
-            simplify::StoppedBy::Evaluations => Self::Evaluations,
-            simplify::StoppedBy::Energy => Self::D2,
-            simplify::StoppedBy::Caller => Self::Seconds,
-        }
-    }
-
-    /// Of an optimization.
-    pub(super) fn of_optimization(by: optimize::StoppedBy) -> Self {
-        match by {
-            optimize::StoppedBy::Evaluations => Self::Evaluations,
-            optimize::StoppedBy::Energy => Self::Energy,
-            optimize::StoppedBy::Converged => Self::Converged,
-            optimize::StoppedBy::Caller => Self::Seconds,
-        }
-    }
-}
+use super::{pipeline::PipelineError, recorder::Recorder, stopped::StoppedBy};
 
 /// What optimization has done to a level.
 #[derive(Clone, Debug, Serialize)]
@@ -95,12 +38,14 @@ pub struct Optimized {
 /// One finished level.
 #[derive(Clone, Debug)]
 pub struct Level {
-    /// Triangles asked for.
-    pub target: usize,
+    /// What was asked for.
+    pub budget: LevelBudget,
     /// Its place in the order asked for, from 0.
     pub index: usize,
     /// The mesh.
     pub mesh: Mesh,
+    /// What is said of its vertices.
+    pub marks: Marks,
     /// Sum of squared luminance differences on the run-time views, if they were drawn.
     pub energy: Option<u64>,
     /// d2 on the run-time views, percent.
@@ -122,52 +67,79 @@ fn level_name(index: usize) -> String {
     format!("lod-{index}")
 }
 
+/// A level that is not reached yet.
+#[derive(Clone, Debug)]
+pub struct Pending {
+    /// Its place in the order asked for, from 0.
+    pub index: usize,
+    /// How far it goes.
+    pub budget: LevelBudget,
+    /// Highest energy that it may have, by `max_d2`.
+    pub max_energy: Option<u64>,
+    /// The next collapse would lift the energy above that.
+    pub is_at_max_energy: bool,
+}
+
+impl Pending {
+    /// Whether a stage cannot know by itself where the level ends.
+    pub fn is_measured(&self) -> bool {
+        self.budget.max_bytes.is_some() || self.budget.screen_size.is_some()
+    }
+}
+
+/// Where a level ended.
+#[derive(Clone, Copy, Debug)]
+pub struct End {
+    /// Why.
+    pub stopped_by: StoppedBy,
+    /// Energy and d2 there, if pictures were drawn.
+    pub energy: Option<(u64, f64)>,
+}
+
 /// All levels of a job.
 pub struct Levels {
-    /// Targets as asked for.
-    asked: Vec<usize>,
-    /// Distinct targets still to reach, the last one being the next.
-    pending: Vec<usize>,
+    /// As asked for.
+    asked: Vec<LevelBudget>,
+    /// Distinct ones still to reach.
+    pending: Vec<Pending>,
     done: Vec<Level>,
     n_original: usize,
     /// The one level came with the job.
     is_given: bool,
-    stop: StoppedBy,
-    energy: Option<u64>,
-    d2: Option<f64>,
 }
 
 impl Levels {
-    /// The levels a job asks for.
-    pub fn new(spec: &Spec, n_original: usize) -> Self {
-        let asked = spec.triangles.iter().map(|t| *t as usize).collect();
-        Self::of_targets(asked, n_original, false)
+    /// The levels a job asks for; `max_energy` is what a d2 in percent means.
+    pub fn new(spec: &Spec, n_original: usize, max_energy: impl Fn(f64) -> u64) -> Self {
+        let asked = spec.level_budgets();
+        let is_first = |(i, budget): &(usize, &LevelBudget)| !asked[..*i].contains(budget);
+        let pending = |(index, budget): (usize, &LevelBudget)| Pending {
+            index,
+            budget: *budget,
+            max_energy: budget.max_d2.map(&max_energy),
+            is_at_max_energy: false,
+        };
+        let pending = asked.iter().enumerate().filter(is_first).map(pending).collect();
+        Self { asked, pending, done: Vec::new(), n_original, is_given: false }
     }
 
     /// The one level of a mesh that is simplified already.
     pub fn of_simplified(n_triangles: usize, n_original: usize) -> Self {
-        Self::of_targets(vec![n_triangles], n_original, true)
-    }
-
-    fn of_targets(asked: Vec<usize>, n_original: usize, is_given: bool) -> Self {
-        let mut pending = asked.clone();
-        pending.sort_unstable();
-        pending.dedup();
+        let budget = LevelBudget { triangles: Some(n_triangles as u32), ..LevelBudget::default() };
+        let pending = Pending { index: 0, budget, max_energy: None, is_at_max_energy: false };
         Self {
-            asked,
-            pending,
+            asked: vec![budget],
+            pending: vec![pending],
             done: Vec::new(),
             n_original,
-            is_given,
-            stop: StoppedBy::Input,
-            energy: None,
-            d2: None,
+            is_given: true,
         }
     }
 
     /// Says which levels cannot be coarser than the original.
     pub fn announce(&self, recorder: &mut Recorder<'_>) -> Result<(), PipelineError> {
-        for target in self.asked.iter().filter(|t| **t >= self.n_original) {
+        let targets = self.asked.iter().filter_map(|budget| budget.triangles);
+        for target in targets.filter(|t| *t as usize >= self.n_original) {
             let text = format!(
                 "{target} triangles were asked for and the model has {}: this level is the \
                  original, unchanged; ask for fewer",
@@ -178,40 +150,23 @@ impl Levels {
         Ok(())
     }
 
-    /// Says which levels have more triangles than asked for, why, and what may help.
+    /// Says which levels are not as small as asked for, why, and what may help.
     pub fn explain(&self, spec: &Spec, recorder: &mut Recorder<'_>) -> Result<(), PipelineError> {
-        for level in self.done.iter().filter(|l| l.mesh.faces.len() > l.target) {
-            let why = match (level.stopped_by, spec.topology) {
-                (StoppedBy::NoLegalCollapse, Topology::Preserve | Topology::Auto) => {
-                    "no collapse is left that keeps its parts and holes; ask for more, or for free \
-                     topology"
-                }
-                (StoppedBy::NoLegalCollapse, Topology::Free) => {
-                    "no collapse is left that leaves a triangle"
-                }
-                (StoppedBy::Evaluations, _) => "the evaluations allowed are spent; allow more",
-                (StoppedBy::D2, _) => {
-                    "the next collapse would leave d2 above the limit; allow more (optimization may \
-                     bring it below)"
-                }
-                (StoppedBy::Seconds, _) => "the seconds allowed are over; allow more",
-                _ => continue,
-            };
-            let (name, target, n) = (level.name(), level.target, level.mesh.faces.len());
-            let text = format!("{name}: {target} triangles were asked for, {n} are left: {why}");
-            recorder.note("TARGET_NOT_REACHED", &text)?;
+        for level in &self.done {
+            let Some(wanted) = wanted(&level.budget) else { continue };
+            let Some(why) = why(level.stopped_by, spec.topology) else { continue };
+            let (name, n) = (level.name(), level.mesh.faces.len());
+            let text = format!("{name}: {wanted} were asked for, {n} triangles are left: {why}");
+            let is_images = level.stopped_by == StoppedBy::Images;
+            let code = if is_images { "IMAGES_EXCEED_BYTES" } else { "TARGET_NOT_REACHED" };
+            recorder.note(code, &text)?;
         }
         Ok(())
     }
 
-    /// The next target, finest first.
-    pub fn next_target(&self) -> Option<usize> {
-        self.pending.last().copied()
-    }
-
-    /// The coarsest target.
-    pub fn least(&self) -> usize {
-        self.asked.iter().copied().min().unwrap_or(0)
+    /// The levels still to reach.
+    pub fn pending(&self) -> &[Pending] {
+        &self.pending
     }
 
     /// Whether every level is reached.
@@ -219,56 +174,98 @@ impl Levels {
         self.pending.is_empty()
     }
 
-    /// Triangles at which the image-driven stage takes over: a multiple of the finest level that
-    /// is below the original.
-    pub fn image_start(&self, factor: f64) -> usize {
-        let finest = self.pending.iter().rev().find(|t| **t < self.n_original);
-        finest.map_or(self.n_original, |t| (*t as f64 * factor).ceil() as usize)
+    /// The most triangles below so many that a level has asked for.
+    pub fn next_target(&self, below: usize) -> Option<usize> {
+        let targets = self.pending.iter().filter_map(|p| p.budget.triangles);
+        targets.map(|t| t as usize).filter(|t| *t < below).max()
     }
 
-    /// Remembers why the work on the next level ended.
-    pub fn set_stop(&mut self, by: StoppedBy) {
-        self.stop = by;
+    /// Energy that no pending level may exceed.
+    pub fn max_energy(&self) -> Option<u64> {
+        self.pending.iter().filter_map(|p| p.max_energy).min()
     }
 
-    /// Remembers the energy of the current mesh.
-    pub fn set_energy(&mut self, energy: u64, d2: f64) {
-        self.energy = Some(energy);
-        self.d2 = Some(d2);
+    /// The next collapse would lift the energy above [`Self::max_energy`].
+    pub fn set_at_max_energy(&mut self) {
+        let most = self.max_energy();
+        let is_strictest = |p: &&mut Pending| p.max_energy == most && most.is_some();
+        self.pending.iter_mut().filter(is_strictest).for_each(|p| p.is_at_max_energy = true);
     }
 
-    /// Takes the current mesh as the next level. False when no later level can be reached.
-    pub fn take(&mut self, mesh: &EditMesh, recorder: &mut Recorder<'_>) -> bool {
-        let Some(target) = self.pending.pop() else { return false };
-        let index = self.asked.iter().position(|t| *t == target).unwrap_or(0);
+    /// Takes a mesh as the pending level of this number.
+    pub fn take(&mut self, index: usize, mesh: &EditMesh, end: End, recorder: &mut Recorder<'_>) {
+        let Some(at) = self.pending.iter().position(|p| p.index == index) else { return };
+        let budget = self.pending.remove(at).budget;
         recorder.mark_level(&level_name(index));
+        let snapshot = mesh.snapshot_with_ids();
         self.done.push(Level {
-            target,
+            budget,
             index,
-            mesh: mesh.snapshot(),
-            energy: self.energy,
-            d2: self.d2,
-            stopped_by: self.stop,
+            mesh: snapshot.mesh,
+            marks: mesh.marks().of(&snapshot.vertex_ids),
+            energy: end.energy.map(|e| e.0),
+            d2: end.energy.map(|e| e.1),
+            stopped_by: end.stopped_by,
             optimized: None,
         });
-        matches!(self.stop, StoppedBy::Input | StoppedBy::Triangles) && !self.pending.is_empty()
     }
 
     /// Gives every level that was not reached the coarsest mesh there is.
-    pub fn close(&mut self, mesh: &EditMesh, recorder: &mut Recorder<'_>) {
-        while !self.pending.is_empty() {
-            self.take(mesh, recorder);
+    pub fn close(&mut self, mesh: &EditMesh, end: End, recorder: &mut Recorder<'_>) {
+        while let Some(first) = self.pending.first() {
+            let stopped_by = if first.is_at_max_energy { StoppedBy::D2 } else { end.stopped_by };
+            self.take(first.index, mesh, End { stopped_by, ..end }, recorder);
         }
     }
 
     /// The levels that optimization can change, finest first: all but those that are the original.
     pub fn simplified(&mut self) -> impl Iterator<Item = &mut Level> {
-        let is_given = self.is_given;
-        self.done.iter_mut().filter(move |l| is_given || l.stopped_by != StoppedBy::Input)
+        let (is_given, n_original) = (self.is_given, self.n_original);
+        self.done.iter_mut().filter(move |l| is_given || l.mesh.faces.len() < n_original)
     }
 
     /// Levels in the order asked for.
     pub fn in_order(&self) -> impl Iterator<Item = &Level> {
-        self.asked.iter().filter_map(|t| self.done.iter().find(|l| l.target == *t))
+        self.asked.iter().filter_map(|asked| self.done.iter().find(|l| l.budget == *asked))
+    }
+}
+
+/// What a level should be as small as.
+fn wanted(budget: &LevelBudget) -> Option<String> {
+    let triangles = budget.triangles.map(|n| format!("{n} triangles"));
+    let bytes = budget.max_bytes.map(|n| format!("{n} bytes"));
+    match (triangles, bytes) {
+        (Some(triangles), Some(bytes)) => Some(format!("{triangles} and {bytes}")),
+        (triangles, bytes) => triangles.or(bytes),
+    }
+}
+
+/// Why a level is not as small as it should be, where it is not.
+fn why(stopped_by: StoppedBy, topology: Topology) -> Option<&'static str> {
+    match (stopped_by, topology) {
+        (StoppedBy::NoLegalCollapse, Topology::Preserve | Topology::Auto) => Some(
+            "no collapse is left that keeps its parts and holes; ask for more, or for free topology",
+        ),
+        (StoppedBy::NoLegalCollapse, Topology::Free) => {
+            Some("no collapse is left that leaves a triangle")
+        }
+        (StoppedBy::Locks, _) => Some(
+            "no collapse is left that leaves the locked vertices where they are; ask for more, or lock \
+             fewer",
+        ),
+        (StoppedBy::Evaluations, _) => Some("the evaluations allowed are spent; allow more"),
+        (StoppedBy::D2, _) => Some(
+            "the next collapse would leave d2 above the limit; allow more (optimization may bring it \
+             below)",
+        ),
+        (StoppedBy::ScreenSize, _) => Some(
+            "the next mesh would be off by more than half a pixel; allow a smaller screen size",
+        ),
+        (StoppedBy::Seconds, _) => Some("the seconds allowed are over; allow more"),
+        (StoppedBy::Images, _) => Some(
+            "images alone are more, so the rest of the file is held to that; make the images smaller \
+             first, or allow more",
+        ),
+        _ => None,
     }
 }

@@ -1,9 +1,10 @@
 //! Image-driven optimization of the levels, one after the other, finest first.
 
-use std::time::Instant;
+use std::{ops::ControlFlow, time::Instant};
 
 use crate::{
-    mesh::{EditMesh, Stage, Step},
+    io, memoryless,
+    mesh::{EditMesh, Marks, Mesh, Stage, Step},
     metric::d2_percent,
     optimize::{Optimizer, Outcome, alternate},
 };
@@ -12,11 +13,12 @@ use super::{
     branch::Branch,
     budget::{Budget, budgets},
     critic::Critic,
-    levels::{Level, Levels, Optimized, StoppedBy},
+    levels::{Level, Levels, Optimized},
     params,
     pipeline::{Job, PipelineError, editable},
     recorder::{Recorder, counts},
     results::StageFigures,
+    stopped::StoppedBy,
 };
 
 /// Optimizes every level that is not the original; `None` where there is nothing to do.
@@ -58,19 +60,22 @@ fn optimize<'j>(
     figures: &mut StageFigures,
 ) -> Result<(), PipelineError> {
     let start = Instant::now();
-    let mut mesh = editable(&level.mesh)?;
+    let mut mesh = editable(&level.mesh, &level.marks)?;
     let critic = job.critic.get_or_init(|| Critic::new(job.spec, job.original));
-    let begun = (level.mesh.clone(), editable(&level.mesh)?);
+    let begun = (level.mesh.clone(), editable(&level.mesh, &Marks::default())?);
     let branch =
         Branch::new(level.index as u32, begun, critic, budget, (figures.evaluations, span));
     figures.start(&job.studio.evaluator(&mesh, recorder)?);
     recorder.begin_branch(&level.name(), branch)?;
-    let outcome = optimize_mesh(job, &mut mesh, &budget, recorder)?;
+    let mut outcome = optimize_mesh(job, &mut mesh, &budget, recorder)?;
     if !recorder.is_out_of_time() {
         recorder.check()?;
     }
+    if trim(job, &mut mesh, level, recorder)? {
+        outcome.energy_after = job.studio.energy(&mesh);
+    }
     let energy = outcome.energy_after;
-    let d2 = d2_percent(energy, params::n_pixels(job.spec) as u64);
+    let d2 = d2_percent(energy, params::n_counted_pixels(job.spec));
     let (branch, edits) = recorder.end_branch(energy, d2)?;
     figures.evaluations += outcome.evaluations;
     figures.edits += u64::from(edits);
@@ -84,6 +89,35 @@ fn optimize<'j>(
         ..optimized(&outcome)
     });
     Ok(())
+}
+
+/// Optimization may have moved a few vertices to where a file needs more bytes for them. Collapses edges as long
+/// as the file is too large, by geometry; whether any had to go.
+fn trim(
+    job: &Job<'_>,
+    mesh: &mut EditMesh,
+    level: &Level,
+    recorder: &mut Recorder<'_>,
+) -> Result<bool, PipelineError> {
+    let Some((most, _)) = job.gauge.max_bytes(&level.budget)? else { return Ok(false) };
+    let n_bytes = |mesh: &Mesh| io::write_glb(mesh).map(|glb| glb.len() as u64);
+    // One that could not be made small enough is not made smaller here.
+    let is_held = n_bytes(&level.mesh)? <= most;
+    let params = params::memoryless(job.spec);
+    let mut is_trimmed = false;
+    while is_held && n_bytes(&mesh.snapshot())? > most {
+        let target = mesh.n_faces().saturating_sub(1) as u32;
+        let mut on = |step: Step<'_>| match step {
+            Step::Edit(_) => recorder.step(&step),
+            _ => ControlFlow::Continue(()),
+        };
+        let outcome = memoryless::simplify(mesh, target, &params, &mut on);
+        if outcome.collapses == 0 {
+            break;
+        }
+        is_trimmed = true;
+    }
+    Ok(is_trimmed)
 }
 
 /// Against many view sets where that pays, so that the mesh fits the model and not twenty pictures of

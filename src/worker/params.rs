@@ -3,9 +3,9 @@
 use glam::DVec3;
 
 use crate::{
-    jobs::spec::{self, Effort, Projection, Shading, Spec},
+    jobs::spec::{self, Effort, Lock, Projection, Shading, Spec},
     memoryless,
-    mesh::{Mesh, Topology},
+    mesh::{Feature, Mesh, Topology},
     metric::{Pictures, bounding_sphere, energy_of_d2},
     optimize,
     render::{
@@ -27,7 +27,18 @@ pub fn memoryless(spec: &Spec) -> memoryless::Params {
     }
 }
 
-fn topology(spec: &Spec) -> Topology {
+/// The edges whose vertices stay.
+pub fn features(spec: &Spec) -> Vec<Feature> {
+    let feature = |lock: &Lock| match lock {
+        Lock::Border => Feature::Border,
+        Lock::Seam => Feature::Seam,
+        Lock::HardEdge => Feature::HardEdge,
+    };
+    spec.lock.iter().map(feature).collect()
+}
+
+/// What collapses must keep.
+pub fn topology(spec: &Spec) -> Topology {
     match spec.topology {
         // The pipeline has settled it by now.
         spec::Topology::Auto | spec::Topology::Preserve => Topology::Preserve,
@@ -49,8 +60,13 @@ pub fn image(spec: &Spec) -> simplify::Params {
         ahead,
         search_rounds,
         max_evaluations: spec.max_evaluations,
-        max_energy: (spec.max_d2 > 0.0).then(|| energy_of_d2(spec.max_d2, n_pixels(spec) as u64)),
+        max_energy: None,
     }
+}
+
+/// The highest energy at which d2 on the run-time views is no more than so many percent.
+pub fn max_energy(spec: &Spec, d2_percent: f64) -> u64 {
+    energy_of_d2(d2_percent, n_counted_pixels(spec))
 }
 
 /// Evaluations for each triangle after which a run ends that was given another limit.
@@ -103,7 +119,7 @@ fn rota(effort: Effort) -> Rota {
     }
 }
 
-/// The run-time views alone, where their energy is what was asked for. It falls to 63.1% after 200 evaluations a
+/// The run-time views alone, where their energy is what was asked for, or they count for more or less. It falls to 63.1% after 200 evaluations a
 /// triangle with turns of 20 (see [`rota`]), to 60.6% after 740 with cycles and turns of 50, to 60.3% with turns of
 /// 100, and to 59.5% with searches for single vertices among a turn's moves.
 const RUN_TIME_VIEWS: Rota = Rota { n_sets: 1, steps: [48, 24, 48], turn: 100 };
@@ -113,7 +129,8 @@ const RUN_TIME_VIEWS: Rota = Rota { n_sets: 1, steps: [48, 24, 48], turn: 100 };
 const CYCLE: u64 = 100;
 
 fn rota_of(spec: &Spec, budget: &Budget) -> Rota {
-    if budget.until.is_some() { RUN_TIME_VIEWS } else { rota(spec.effort) }
+    let is_alone = budget.until.is_some() || !spec.render.view_weights.is_empty();
+    if is_alone { RUN_TIME_VIEWS } else { rota(spec.effort) }
 }
 
 /// Most bytes of the original's pictures in all view sets.
@@ -136,6 +153,15 @@ pub fn n_view_sets(spec: &Spec, budget: &Budget) -> usize {
 /// Pixels of all run-time views.
 pub fn n_pixels(spec: &Spec) -> usize {
     spec.render.view_count() * (spec.render.image_size as usize).pow(2)
+}
+
+/// The same as often as they count.
+pub fn n_counted_pixels(spec: &Spec) -> u64 {
+    let weights = &spec.render.view_weights;
+    let n_equal = spec.render.view_count() as u64;
+    let n_views =
+        if weights.is_empty() { n_equal } else { weights.iter().copied().map(u64::from).sum() };
+    n_views * u64::from(spec.render.image_size).pow(2)
 }
 
 /// Cameras and drawing.
@@ -166,5 +192,7 @@ pub fn pictures(spec: &Spec, original: &Mesh) -> Pictures {
         background: (r.background * 255.0 + 0.5) as u8,
         interior_views: r.interior_views as usize,
     };
-    Pictures::of(original, params, cameras(&bounding_sphere(original), &view_params))
+    let mut views = cameras(&bounding_sphere(original), &view_params);
+    views.iter_mut().zip(&r.view_weights).for_each(|(view, weight)| view.weight = *weight);
+    Pictures::of(original, params, views)
 }

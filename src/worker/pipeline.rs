@@ -19,7 +19,7 @@ use crate::{
         event::Report,
         spec::{Spec, Topology},
     },
-    mesh::{EditMesh, Mesh, Semantic},
+    mesh::{EditMesh, Marks, Mesh, Semantic},
     metric::{Palette, with_vertex_normals},
     optimize::OptimizeError,
     progressive::ProgressiveError,
@@ -28,7 +28,9 @@ use crate::{
 };
 
 use super::{
+    chosen::Facts,
     critic::Critic,
+    gauge::Gauge,
     illustrator::{Plan, draw_ahead},
     optimizing, params,
     recorder::Recorder,
@@ -133,6 +135,8 @@ pub(super) struct Job<'j> {
     pub original: &'j Mesh,
     /// The pictures of the original, and who judges by them.
     pub studio: Studio<'j>,
+    /// Measures levels.
+    pub gauge: &'j Gauge<'j>,
     /// The unseen pictures, once they are drawn.
     pub critic: &'j OnceLock<Critic<'j>>,
 }
@@ -152,9 +156,11 @@ pub fn run(
         (read(&inputs.original)?, inputs.simplified.as_ref().map(read).transpose()?);
     let ingest = original.report;
     let spec = &settled(asked, &ingest, original.mesh.faces.len());
+    let asked_marks = original.marks;
     let original = prepared(spec, original.mesh);
-    let critic = OnceLock::new();
+    let (critic, gauge) = (OnceLock::new(), Gauge::new(&original));
     let base = simplifying::base(spec, &original, simplified.as_ref());
+    let marks = simplifying::marks(spec, &base, (asked_marks, simplified.as_ref()));
     let mut recorder = Recorder::new(spec, &base, start, on)?;
     recorder.announce("model", &ingest)?;
     if asked.topology != spec.topology {
@@ -163,27 +169,46 @@ pub fn run(
     if let Some(simplified) = &simplified {
         recorder.announce("simplified mesh", &simplified.report)?;
     }
+    let mut facts = Facts { asked, n_locked: marks.n_locked(), n_optimized: 0 };
+    tell_of_marks(&marks, &mut recorder)?;
     let mut figures = Vec::new();
     let pictures = params::pictures(spec, &original);
     let palette = match simplified {
         Some(_) => Arc::new(Palette::of(&base, spec.render.image_size)),
         None => pictures.palette.clone(),
     };
-    let n_coarsest = spec.triangles.iter().min().map_or(base.faces.len(), |n| *n as usize);
+    let targets = spec.triangles.iter().filter(|n| **n > 0);
+    let n_coarsest = targets.min().map_or(base.faces.len(), |n| *n as usize);
     let levels = thread::scope(|scope| {
         let plan = Plan::new(spec, n_coarsest);
         let drawn = draw_ahead(scope, plan, (spec, &original), pictures.clone(), &critic);
         let studio = Studio::new(&original, (pictures, palette), drawn, device);
-        let mut job = Job { spec, original: &original, studio, critic: &critic };
-        let mut levels = simplifying::run(&mut job, base, &mut recorder, &mut figures)?;
+        let mut job = Job { spec, original: &original, studio, gauge: &gauge, critic: &critic };
+        let mut levels = simplifying::run(&mut job, (base, marks), &mut recorder, &mut figures)?;
+        facts.n_optimized = levels.simplified().map(|level| level.mesh.faces.len()).sum();
         if spec.optimizes() {
             figures.extend(optimizing::run(&mut job, &mut levels, &mut recorder, &figures)?);
         }
         Ok::<_, PipelineError>(levels)
     })?;
 
-    let attempt = results::Attempt { spec, ingest: &ingest, figures: &figures, start };
+    let attempt =
+        results::Attempt { spec, ingest: &ingest, facts, gauge: &gauge, figures: &figures, start };
     results::write_all(out_dir, &original, &levels, &mut recorder, &attempt)
+}
+
+fn tell_of_marks(marks: &Marks, recorder: &mut Recorder<'_>) -> Result<(), PipelineError> {
+    let n_locked = marks.n_locked();
+    if n_locked > 0 {
+        let text = format!("{n_locked} vertices stay where they are");
+        recorder.note("VERTICES_LOCKED", &text)?;
+    }
+    if !marks.weights.is_empty() {
+        let text =
+            "collapses are ordered by what they cost times how much their surroundings matter";
+        recorder.note("VERTICES_WEIGHED", text)?;
+    }
+    Ok(())
 }
 
 /// The specification, with what was left to the model decided.
@@ -216,8 +241,9 @@ fn prepared(spec: &Spec, original: Mesh) -> Mesh {
     }
 }
 
-/// A mesh that can be edited.
-pub(super) fn editable(mesh: &Mesh) -> Result<EditMesh, PipelineError> {
+/// A mesh that can be edited as far as its marks allow.
+pub(super) fn editable(mesh: &Mesh, marks: &Marks) -> Result<EditMesh, PipelineError> {
     EditMesh::new(mesh.clone())
+        .map(|mesh| mesh.with_marks(marks.clone()))
         .map_err(|e| PipelineError::Job { code: "INVALID_MESH", text: e.to_string() })
 }

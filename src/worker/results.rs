@@ -12,10 +12,13 @@ use crate::{
 };
 
 use super::{
+    chosen::{Chosen, Facts},
     critic::look,
-    levels::{Level, Levels, Optimized, StoppedBy},
+    gauge::Gauge,
+    levels::{Level, Levels, Optimized},
     pipeline::PipelineError,
     recorder::Recorder,
+    stopped::StoppedBy,
     switching::Switching,
 };
 
@@ -94,11 +97,15 @@ impl StageFigures {
 }
 
 /// What `report.json` is made of.
-pub struct Attempt<'a> {
+pub(super) struct Attempt<'a> {
     /// The job.
     pub spec: &'a Spec,
     /// What was read.
     pub ingest: &'a IngestReport,
+    /// What its settings depend on.
+    pub facts: Facts<'a>,
+    /// What measures levels.
+    pub gauge: &'a Gauge<'a>,
     /// What the stages cost.
     pub figures: &'a [StageFigures],
     /// When the attempt began.
@@ -112,6 +119,7 @@ struct ReportFile<'a> {
     device: &'a str,
     input: &'a IngestReport,
     spec: &'a Spec,
+    chosen: Chosen,
     levels: Vec<LevelReport<'a>>,
     stages: &'a [StageFigures],
     records: u32,
@@ -121,7 +129,8 @@ struct ReportFile<'a> {
 #[derive(Serialize)]
 struct LevelReport<'a> {
     file: String,
-    asked: usize,
+    /// Triangles asked for, if any were.
+    asked: Option<u32>,
     triangles: usize,
     vertices: usize,
     /// On the run-time views, percent of full scale; absent without pictures.
@@ -130,13 +139,17 @@ struct LevelReport<'a> {
     stopped_by: StoppedBy,
     /// Distance from the centre, in bounding radii, from which on the level may stand in for the original.
     switch_distance_radii: Option<f64>,
+    /// How high the bounding sphere may be on the screen, in pixels, for that.
+    screen_size_pixels: Option<f64>,
+    /// Size of the file.
+    bytes: usize,
     /// Absent where the level was not optimized.
     #[serde(skip_serializing_if = "Option::is_none")]
     optimization: Option<&'a Optimized>,
 }
 
 /// Writes every artifact and tells of each.
-pub fn write_all(
+pub(super) fn write_all(
     out_dir: &Path,
     original: &Mesh,
     levels: &Levels,
@@ -147,11 +160,11 @@ pub fn write_all(
     fs::create_dir_all(out_dir)?;
     let mut out = Output { dir: out_dir, recorder };
     let mut reports = Vec::new();
-    let switching = Switching::new(original);
     for (i, level) in levels.in_order().enumerate() {
         let file = format!("lod-{i}.glb");
-        out.write(&file, "model/gltf-binary", &io::write_glb(&level.mesh)?)?;
-        reports.push(level_report(file, level, &switching));
+        let glb = io::write_glb(&level.mesh)?;
+        out.write(&file, "model/gltf-binary", &glb)?;
+        reports.push(level_report((file, glb.len()), level, attempt.gauge));
     }
     out.write("progressive.lkpm", "application/octet-stream", &progressive)?;
     write_pictures(&mut out, attempt.spec, original, levels)?;
@@ -168,6 +181,7 @@ pub fn write_all(
         device: attempt.figures.last().map_or("native", |f| f.device.as_str()),
         input: attempt.ingest,
         spec: attempt.spec,
+        chosen: Chosen::of(attempt.spec, attempt.ingest, &attempt.facts),
         levels: reports,
         stages: attempt.figures,
         records: out.recorder.n_records(),
@@ -190,16 +204,25 @@ impl Output<'_, '_> {
     }
 }
 
-fn level_report<'a>(file: String, level: &'a Level, switching: &Switching) -> LevelReport<'a> {
+fn level_report<'a>(
+    (file, bytes): (String, usize),
+    level: &'a Level,
+    gauge: &Gauge<'_>,
+) -> LevelReport<'a> {
+    let deviation = gauge.switching().deviation_radii(&level.mesh);
+    let screen_size = deviation.map(Switching::screen_size);
     LevelReport {
         file,
-        asked: level.target,
+        asked: level.budget.triangles,
         triangles: level.mesh.faces.len(),
         vertices: level.mesh.positions.len(),
         d2_percent: level.d2,
         energy: level.energy,
         stopped_by: level.stopped_by,
-        switch_distance_radii: switching.distance_radii(&level.mesh),
+        switch_distance_radii: deviation.map(Switching::distance_radii),
+        // Infinite for the original, which JSON has no number for.
+        screen_size_pixels: screen_size.filter(|pixels| pixels.is_finite()),
+        bytes,
         optimization: level.optimized.as_ref(),
     }
 }

@@ -1,20 +1,27 @@
 //! From the original to levels of detail: the stages before optimization.
 
+use std::ops::ControlFlow;
+
 use crate::{
     cluster,
     io::Ingest,
     jobs::spec::{Method, Spec},
-    mesh::{EditMesh, Mesh, Semantic, Stage},
-    metric::with_vertex_normals,
+    memoryless,
+    mesh::{EditMesh, Marks, Mesh, Semantic, Stage, Step},
+    metric::{d2_percent, with_vertex_normals},
     simplify,
 };
 
 use super::{
-    levels::{Levels, StoppedBy},
+    course::{Course, Descent},
+    levels::{End, Levels},
     params,
     pipeline::{Job, PipelineError, editable},
     recorder::Recorder,
     results::StageFigures,
+    stopped::StoppedBy,
+    studio::Studio,
+    survey,
 };
 
 /// What the records begin at: the original, or the mesh that takes its place at once.
@@ -34,28 +41,73 @@ pub(super) fn base(spec: &Spec, original: &Mesh, simplified: Option<&Ingest>) ->
     }
 }
 
+/// What is said of the vertices of the base: by its file, and by what is locked along features.
+pub(super) fn marks(
+    spec: &Spec,
+    base: &Mesh,
+    (of_original, simplified): (Marks, Option<&Ingest>),
+) -> Marks {
+    let mut marks = match (simplified, spec.method) {
+        (Some(given), _) => given.marks.clone(),
+        // Its vertices are not those of the original.
+        (None, Method::Cluster) => Marks::default(),
+        (None, Method::Image | Method::Memoryless) => of_original,
+    };
+    marks.lock_along(base, &params::features(spec), spec.hard_edge_degrees);
+    marks
+}
+
 /// Makes all levels, and adds what each stage cost.
 pub(super) fn run(
     job: &mut Job<'_>,
-    base: Mesh,
+    (base, marks): (Mesh, Marks),
     recorder: &mut Recorder<'_>,
     figures: &mut Vec<StageFigures>,
 ) -> Result<Levels, PipelineError> {
     let spec = job.spec;
-    let mut mesh = editable(&base)?;
+    let mut mesh = editable(&base, &marks)?;
     drop(base);
     if spec.simplified.is_some() || spec.method == Method::Cluster {
         return given(job, &mesh, recorder);
     }
-    let mut levels = Levels::new(spec, job.original.faces.len());
+    let max_energy = |d2| params::max_energy(spec, d2);
+    let mut levels = Levels::new(spec, job.original.faces.len(), max_energy);
     levels.announce(recorder)?;
-    figures.push(memoryless_stage(spec, &mut mesh, &mut levels, recorder)?);
-    if spec.method == Method::Image && !levels.is_complete() {
-        figures.push(image_stage(job, &mut mesh, &mut levels, recorder)?);
+    let gauge = job.gauge;
+    let topology = params::topology(spec);
+    let measure_from = mesh.n_faces();
+    let mut course = Course { levels: &mut levels, gauge, recorder, topology, measure_from };
+    course.begin(&mesh)?;
+    let finest = spread(job, &mesh, &mut course)?;
+    figures.push(memoryless_stage(spec, &mut mesh, &mut course, finest)?);
+    if spec.method == Method::Image && !course.levels.is_complete() {
+        figures.push(image_stage(job, &mut mesh, &mut course, finest)?);
     }
-    levels.close(&mesh, recorder);
     levels.explain(spec, recorder)?;
     Ok(levels)
+}
+
+/// Triangles of the coarsest and the finest level, about, and those at which the image-driven stage takes
+/// over: a multiple of the finest.
+#[derive(Clone, Copy)]
+struct Spread {
+    coarsest: usize,
+    image_start: usize,
+}
+
+fn spread(
+    job: &mut Job<'_>,
+    mesh: &EditMesh,
+    course: &mut Course<'_, '_>,
+) -> Result<Spread, PipelineError> {
+    course.recorder.enter(Stage::Memoryless, mesh.n_faces(), 0);
+    let known = (&*course.levels, course.gauge);
+    let estimates = survey::estimates(job, mesh, known, course.recorder)?;
+    let coarsest = estimates.iter().copied().min().unwrap_or(mesh.n_faces());
+    let finest = estimates.iter().max().map(|n| *n as f64 * job.spec.start_factor);
+    let image_start = finest.map_or(mesh.n_faces(), |n| n.ceil() as usize);
+    course.measure_from = image_start;
+    Ok(Spread { coarsest, image_start })
 }
 
 /// The one level of a mesh that came with the job, or from vertex clustering.
@@ -71,13 +123,13 @@ fn given(
     let n_original = job.original.faces.len();
     let mut levels = match job.spec.simplified {
         Some(_) => Levels::of_simplified(mesh.n_faces(), n_original),
-        None => Levels::new(job.spec, n_original),
+        None => Levels::new(job.spec, n_original, |_| u64::MAX),
     };
     levels.announce(recorder)?;
-    if mesh.n_faces() < n_original && job.spec.simplified.is_none() {
-        levels.set_stop(StoppedBy::Triangles);
-    }
-    levels.close(mesh, recorder);
+    let is_clustered = mesh.n_faces() < n_original && job.spec.simplified.is_none();
+    let by_count = if job.spec.ratios.is_empty() { StoppedBy::Triangles } else { StoppedBy::Ratio };
+    let stopped_by = if is_clustered { by_count } else { StoppedBy::Input };
+    levels.close(mesh, End { stopped_by, energy: None }, recorder);
     Ok(levels)
 }
 
@@ -85,62 +137,102 @@ fn given(
 fn memoryless_stage(
     spec: &Spec,
     mesh: &mut EditMesh,
-    levels: &mut Levels,
-    recorder: &mut Recorder<'_>,
+    course: &mut Course<'_, '_>,
+    Spread { coarsest, image_start }: Spread,
 ) -> Result<StageFigures, PipelineError> {
-    let mut figures = StageFigures::begin(Stage::Memoryless, "native");
-    let params = params::memoryless(spec);
+    let figures = StageFigures::begin(Stage::Memoryless, "native");
     let floor = match spec.method {
-        Method::Image => levels.image_start(spec.start_factor),
+        Method::Image => image_start,
         Method::Memoryless | Method::Cluster => 0,
     };
-    recorder.enter(Stage::Memoryless, mesh.n_faces(), floor.max(levels.least()));
-    loop {
-        let next = levels.next_target();
-        let target = next.map_or(floor, |t| t.max(floor));
-        if target < mesh.n_faces() {
-            let outcome = crate::memoryless::simplify(mesh, target as u32, &params, &mut |step| {
-                recorder.step(&step)
-            });
-            figures.add(outcome.collapses, outcome.evaluations);
-            recorder.check()?;
-            levels.set_stop(StoppedBy::of_memoryless(outcome.stopped_by));
-        }
-        if next.is_none_or(|t| t < floor) || !levels.take(mesh, recorder) {
-            break;
-        }
+    course.recorder.enter(Stage::Memoryless, mesh.n_faces(), floor.max(coarsest));
+    if course.levels.is_complete() || mesh.n_faces() <= floor {
+        return Ok(figures.end());
     }
-    Ok(figures.end())
+    let params = params::memoryless(spec);
+    let simplifier = memoryless::Simplifier::new(mesh, &params);
+    let mut stage = Geometric { simplifier, figures };
+    course.follow(&mut stage, floor)?;
+    Ok(stage.figures.end())
+}
+
+struct Geometric<'a> {
+    simplifier: memoryless::Simplifier<'a>,
+    figures: StageFigures,
+}
+
+impl Descent for Geometric<'_> {
+    fn mesh(&self) -> &EditMesh {
+        self.simplifier.mesh()
+    }
+
+    fn run_to(
+        &mut self,
+        target: usize,
+        _: Option<u64>,
+        on: &mut dyn FnMut(Step<'_>) -> ControlFlow<()>,
+    ) -> Result<StoppedBy, PipelineError> {
+        let outcome = self.simplifier.run_to(target as u32, on);
+        self.figures.add(outcome.collapses, outcome.evaluations);
+        Ok(StoppedBy::of_memoryless(outcome.stopped_by))
+    }
+
+    fn energy(&mut self, _: Option<&EditMesh>) -> Option<(u64, f64)> {
+        None
+    }
 }
 
 /// Image-driven simplification of what memoryless left.
 fn image_stage(
     job: &mut Job<'_>,
     mesh: &mut EditMesh,
-    levels: &mut Levels,
-    recorder: &mut Recorder<'_>,
+    course: &mut Course<'_, '_>,
+    Spread { coarsest, .. }: Spread,
 ) -> Result<StageFigures, PipelineError> {
     let mut figures = StageFigures::prepare(Stage::Image);
-    figures.start(&job.studio.evaluator(mesh, recorder)?);
+    figures.start(&job.studio.evaluator(mesh, course.recorder)?);
     let mut objective = job.studio.show(0, mesh)?;
-    recorder.enter(Stage::Image, mesh.n_faces(), levels.least());
+    course.recorder.enter(Stage::Image, mesh.n_faces(), coarsest);
     let params = params::image(job.spec);
-    let mut simplifier = simplify::Simplifier::new(mesh, &mut objective, params);
-    while let Some(target) = levels.next_target() {
-        let outcome = simplifier.run_to(target, &mut |step| recorder.step(&step))?;
-        figures.add(outcome.collapses, 0);
-        levels.set_stop(if recorder.is_out_of_time() {
-            StoppedBy::Seconds
-        } else {
-            recorder.check()?;
-            StoppedBy::of_image(outcome.stopped_by)
-        });
-        let (energy, d2) = (simplifier.objective().energy(), simplifier.objective().d2_percent());
-        levels.set_energy(energy, d2);
-        if !levels.take(simplifier.mesh(), recorder) {
-            break;
-        }
-    }
+    let simplifier = simplify::Simplifier::new(mesh, &mut objective, params);
+    let mut stage = ImageDriven { simplifier, figures, studio: &mut job.studio };
+    course.follow(&mut stage, 0)?;
+    let mut figures = stage.figures;
     figures.evaluations = objective.evaluations();
     Ok(figures.end())
+}
+
+struct ImageDriven<'a, 'm> {
+    simplifier: simplify::Simplifier<'a>,
+    figures: StageFigures,
+    studio: &'a mut Studio<'m>,
+}
+
+impl Descent for ImageDriven<'_, '_> {
+    fn mesh(&self) -> &EditMesh {
+        self.simplifier.mesh()
+    }
+
+    fn run_to(
+        &mut self,
+        target: usize,
+        max_energy: Option<u64>,
+        on: &mut dyn FnMut(Step<'_>) -> ControlFlow<()>,
+    ) -> Result<StoppedBy, PipelineError> {
+        self.simplifier.set_max_energy(max_energy);
+        let outcome = self.simplifier.run_to(target, on)?;
+        self.figures.add(outcome.collapses, 0);
+        Ok(StoppedBy::of_image(outcome.stopped_by))
+    }
+
+    fn energy(&mut self, past: Option<&EditMesh>) -> Option<(u64, f64)> {
+        let now = self.simplifier.objective();
+        Some(match past {
+            None => (now.energy(), now.d2_percent()),
+            Some(mesh) => {
+                let energy = self.studio.energy(mesh);
+                (energy, d2_percent(energy, now.scene().n_counted_pixels()))
+            }
+        })
+    }
 }

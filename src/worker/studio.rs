@@ -7,7 +7,7 @@ use glam::DVec3;
 use crate::{
     mesh::{EditMesh, Mesh},
     metric::{Objective, Palette, Pictures, ViewSet, bounding_sphere, scene_as_drawn},
-    render::{RenderError, Scene, choose},
+    render::{self, RenderError, Scene, choose},
 };
 
 use super::{
@@ -75,6 +75,16 @@ impl<'m> Studio<'m> {
         let mut set = self.drawn.recv().unwrap_or_else(draw);
         set.pictures.palette = self.palette.clone();
         self.sets.push(set);
+    }
+
+    /// The energy of a mesh on the run-time views, drawn once.
+    pub fn energy(&mut self, mesh: &EditMesh) -> u64 {
+        if self.sets.is_empty() {
+            self.add_set();
+        }
+        let ViewSet { pictures, reference } = &self.sets[0];
+        let drawn = render::reference(&self.scene(mesh, pictures));
+        render::energy(&pictures.views, reference, &drawn.pictures)
     }
 
     /// Who computes: measured with this mesh, and told, when it is first asked. Draws the run-time views

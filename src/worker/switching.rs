@@ -34,11 +34,24 @@ impl Switching {
         Self { ruler: Ruler::new(original, params), radius: bounding_sphere(original).radius }
     }
 
-    /// Distance from the centre, in radii of the original's bounding sphere. None where a mesh has no
-    /// triangles or the original has no extent.
-    pub fn distance_radii(&self, level: &Mesh) -> Option<f64> {
+    /// Mean distance between a level and the original, in radii of the original's bounding sphere. None
+    /// where a mesh has no triangles or the original has no extent.
+    pub fn deviation_radii(&self, level: &Mesh) -> Option<f64> {
         let deviation = self.ruler.mean(level)? / self.radius;
-        deviation.is_finite().then(|| deviation * radii_per_deviation())
+        deviation.is_finite().then_some(deviation)
+    }
+
+    /// Distance from the centre, in radii of the original's bounding sphere, from which on a level that
+    /// deviates by so much may stand in.
+    pub fn distance_radii(deviation_radii: f64) -> f64 {
+        deviation_radii * radii_per_deviation()
+    }
+
+    /// How high the bounding sphere may be on a screen, in pixels, for a level to stand in for the
+    /// original; infinite for the original itself.
+    pub fn screen_size(deviation_radii: f64) -> f64 {
+        // A pixel is 2 radii / height.
+        2.0 * PIXELS / deviation_radii
     }
 }
 
@@ -62,11 +75,15 @@ mod tests {
     #[test]
     fn a_level_stands_in_from_where_it_is_off_by_half_a_pixel() {
         let switching = Switching::new(&square(0.0));
-        assert!(switching.distance_radii(&square(0.0)).unwrap() < 1e-9);
+        let deviation = |z| switching.deviation_radii(&square(z)).unwrap();
+        assert!(Switching::distance_radii(deviation(0.0)) < 1e-9);
         // Off by 0.01 everywhere, seen from `radii` x sqrt(2).
-        let radii = switching.distance_radii(&square(0.01)).unwrap();
+        let radii = Switching::distance_radii(deviation(0.01));
         let screen = 2.0 * radii * 2.0_f64.sqrt() / 3.0_f64.sqrt();
         assert!((0.01 / screen * 1080.0 - 0.5).abs() < 1e-6, "{radii}");
-        assert_eq!(switching.distance_radii(&Mesh::from_parts(Vec::new(), Vec::new())), None);
+        // Seen from the front, the sphere is 2 sqrt(2) high.
+        let height = Switching::screen_size(deviation(0.01));
+        assert!((0.01 * height / (2.0 * 2.0_f64.sqrt()) - 0.5).abs() < 1e-6, "{height}");
+        assert_eq!(switching.deviation_radii(&Mesh::from_parts(Vec::new(), Vec::new())), None);
     }
 }

@@ -93,12 +93,12 @@ fn a_limit_of_d2_ends_the_chain_with_the_reason() {
     let optimize = Optimize { max_evaluations: Some(0), ..Optimize::default() };
     let render = Render { n_views: 4, image_size: 64, ..Render::default() };
     let shares = Spec { ratios: vec![0.005, 0.1, 0.001], ..Spec::new(Vec::new()) };
-    let spec = Spec { max_d2: 4.0, optimize, render, ..shares };
+    let spec = Spec { max_d2: vec![4.0], optimize, render, ..shares };
     let done = job(&spec, "sample.glb", &sample(6000), "cpu");
     assert!(done.result.is_ok(), "{:?}", done.result);
     let report = done.report();
     let [coarse, fine, coarsest] = [0, 1, 2].map(|i| report["levels"][i].clone());
-    assert_eq!(fine["stopped_by"], "triangles");
+    assert_eq!(fine["stopped_by"], "ratio");
     for level in [&coarse, &coarsest] {
         assert_eq!(level["stopped_by"], "d2");
         assert!(level["triangles"].as_u64() > level["asked"].as_u64(), "{level}");

@@ -9,8 +9,10 @@
 
 mod agreement;
 mod bad_input;
+mod budgets;
 mod determinism;
 mod large;
+mod locks;
 mod looks;
 mod optimizing;
 mod quality;

@@ -256,6 +256,15 @@ def test_keywords_become_fields() -> None:
     assert simplify_spec(7) == spec_pb2.SimplifySpec(triangles=[7])
     assert simplify_spec(ratios=(0.5, 0.1)) == spec_pb2.SimplifySpec(ratios=[0.5, 0.1])
     assert simplify_spec(ratios=0.5) == spec_pb2.SimplifySpec(ratios=[0.5])
+    spec = simplify_spec(max_d2=3, screen_size=[300, 60], max_bytes=[0, 9000], lock="border,hard-edge")
+    locks = [spec_pb2.LOCK_BORDER, spec_pb2.LOCK_HARD_EDGE]
+    wanted = spec_pb2.SimplifySpec(
+        level_max_d2=[3], screen_size=[300, 60], max_bytes=[0, 9000], lock=locks
+    )
+    assert spec == wanted
+    assert simplify_spec(lock=["seam"], max_d2=[3, 2]) == spec_pb2.SimplifySpec(
+        lock=[spec_pb2.LOCK_SEAM], level_max_d2=[3, 2]
+    )
 
 
 @pytest.mark.parametrize(
@@ -264,6 +273,7 @@ def test_keywords_become_fields() -> None:
         ({"n_view": 4}, "did you mean `n_views`"),
         ({"render": 4}, "is no option"),
         ({"effort": "bst"}, "use fast, balanced, best"),
+        ({"lock": "all"}, "use border, seam, hard_edge"),
         ({"n_views": -1}, "n_views: "),
         ({"seed": "a"}, "seed: "),
         ({"custom_views": [(1, 2)]}, "custom_views: "),

@@ -8,7 +8,7 @@ use gltf::json::{
 };
 
 use super::{
-    super::soup::{Attribute, Patch, PatchMaterials, defaults_of},
+    super::soup::{Attribute, Patch, PatchMaterials, PointMarks, defaults_of},
     Document, IoError, REMEDY, Soup,
     material::default_material,
     scene::Placement,
@@ -86,6 +86,7 @@ fn read_primitive(
             .collect(),
         triangles: (split.triangles)(&corners),
         attributes: read_attributes(document, soup, primitive, n_points, &place)?,
+        marks: read_marks(document, primitive, n_points, &place)?,
         materials: PatchMaterials::All(match primitive.material {
             Some(material) => check_material(document, material.value(), &place)?,
             None => default_material(document, soup),
@@ -161,10 +162,7 @@ fn read_attributes(
         let Some((semantic, types)) = meaning_of(name, soup) else { continue };
         let place = format!("{place}, {name:?}");
         let view = document.accessor(index.value(), types, &place)?;
-        if view.count != n_points {
-            let problem = format!("{} values for {n_points} positions", view.count);
-            return Err(document.source.malformed(place, problem, REMEDY));
-        }
+        check_count(document, view.count, n_points, &place)?;
         // Integer colours are normalized even where the file forgets to say so.
         let is_color = matches!(semantic, Semantic::Color(_));
         let mut values = document.floats(&view, is_color, &place)?;
@@ -177,10 +175,45 @@ fn read_attributes(
     Ok(attributes)
 }
 
+fn check_count(
+    document: &Document<'_>,
+    count: u64,
+    n_points: u64,
+    place: &str,
+) -> Result<(), IoError> {
+    if count == n_points {
+        return Ok(());
+    }
+    let problem = format!("{count} values for {n_points} positions");
+    Err(document.source.malformed(place, problem, REMEDY))
+}
+
+/// The attributes that say something of single points: `_LOCK` and `_WEIGHT`.
+const MARKS: [&str; 2] = ["LOCK", "WEIGHT"];
+
+fn read_marks(
+    document: &Document<'_>,
+    primitive: &Primitive,
+    n_points: u64,
+    place: &str,
+) -> Result<PointMarks, IoError> {
+    let read = |name: &str| {
+        let key = Checked::Valid(JsonSemantic::Extras(name.to_owned()));
+        let Some(index) = primitive.attributes.get(&key) else { return Ok(Vec::new()) };
+        let place = format!("{place}, _{name}");
+        let view = document.accessor(index.value(), &[Type::Scalar], &place)?;
+        check_count(document, view.count, n_points, &place)?;
+        document.floats(&view, false, &place)
+    };
+    let [locks, weights] = MARKS.map(read);
+    Ok(PointMarks { locks: locks?, weights: weights? })
+}
+
 /// What is read, with the types it may have; notes what is not.
 fn meaning_of(name: &JsonSemantic, soup: &mut Soup) -> Option<(Semantic, &'static [Type])> {
     match name {
         JsonSemantic::Positions => None,
+        JsonSemantic::Extras(name) if MARKS.contains(&name.as_str()) => None,
         JsonSemantic::Normals => Some((Semantic::Normal, &[Type::Vec3])),
         JsonSemantic::Tangents => Some((Semantic::Tangent, &[Type::Vec4])),
         JsonSemantic::TexCoords(n) if *n < MAX_SETS => {

@@ -2,6 +2,7 @@
 //!
 //! Read: positions, normals, texture coordinates and colours of the `vertex` element, polygons of
 //! the `face` element (split into fans from their first corner) and Stanford's `tristrips`.
+//! The vertex properties `lock` (not 0: the vertex stays) and `weight` mark vertices.
 //! Other elements and properties are passed over; vertex properties are named in a note. Integer
 //! colours are taken as sRGB, as Blender takes them, floating-point colours as linear.
 
@@ -12,7 +13,7 @@ use glam::DVec3;
 
 use super::{
     IoError,
-    soup::{Attribute, Patch, Soup, defaults_of},
+    soup::{Attribute, Patch, PointMarks, Soup, defaults_of},
     source::Source,
 };
 use crate::mesh::Semantic;
@@ -21,10 +22,12 @@ use header::{Element, Encoding, Header, Kind, Property};
 
 const REMEDY: &str = "export the model again, as binary PLY if possible";
 /// The values of a vertex that are read, as places in a row.
-const ROW: usize = 12;
+const ROW: usize = 14;
+/// Where `lock` and `weight` go in that row.
+const MARKS: [usize; 2] = [12, 13];
 
 /// Where a vertex property goes in the row of values that are read.
-const SLOTS: [(&str, usize); 22] = [
+const SLOTS: [(&str, usize); 24] = [
     ("x", 0),
     ("y", 1),
     ("z", 2),
@@ -47,6 +50,8 @@ const SLOTS: [(&str, usize); 22] = [
     ("diffuse_green", 9),
     ("diffuse_blue", 10),
     ("diffuse_alpha", 11),
+    ("lock", MARKS[0]),
+    ("weight", MARKS[1]),
 ];
 
 /// Reads any encoding.
@@ -117,6 +122,7 @@ impl<'a, V: Values> Body<'a, V> {
             return Ok(());
         }
         let mut columns = Columns::new(&slots, element);
+        let (mut locks, mut weights) = (Vec::new(), Vec::new());
         for row in 0..element.count {
             let mut values = [0.0; ROW];
             values[11] = columns.alpha_default();
@@ -128,8 +134,12 @@ impl<'a, V: Values> Body<'a, V> {
             }
             self.patch.positions.push(DVec3::new(values[0], values[1], values[2]));
             columns.push(&values);
+            for (marks, at) in [(&mut locks, MARKS[0]), (&mut weights, MARKS[1])] {
+                marks.extend(slots.contains(&Some(at)).then_some(values[at] as f32));
+            }
         }
         self.patch.attributes = columns.attributes;
+        self.patch.marks = PointMarks { locks, weights };
         Ok(())
     }
 

@@ -83,7 +83,7 @@ pub(super) fn seed() -> Vec<u8> {
 #[test]
 fn every_mode_and_filter_is_read() {
     for (extension, mode) in [(EXT, "TRIANGLES"), (EXT, "INDICES"), (KHR, "TRIANGLES")] {
-        let Ingest { mesh, report } =
+        let Ingest { mesh, report, .. } =
             load("a.glb", &compressed_glb(extension, mode, |_| {})).unwrap();
         assert_eq!(report.notes, [], "{extension}, {mode}");
         let plain = load("a.glb", &square_glb()).unwrap().mesh;

@@ -54,7 +54,7 @@ fn ply_in_three_encodings() {
         ply("binary_big_endian", &ply_binary(true)),
     ];
     for file in files {
-        let Ingest { mesh, report } = load("a.ply", &file).unwrap();
+        let Ingest { mesh, report, .. } = load("a.ply", &file).unwrap();
         assert_eq!(mesh.faces, vec![[0, 1, 2], [0, 2, 3]]);
         assert_eq!(mesh.positions[2], DVec3::new(1.0, 1.0, -2.0));
         let color = mesh.layer(Semantic::Color(0)).unwrap().get(WedgeId(0));
@@ -88,7 +88,7 @@ fn obj_polygons_materials_and_attributes() {
     let text = "# square\nmtllib x.mtl\no thing\nv 0 0 0\nv 1 0 0 \nv 1 1 0\nv 0 1 0\r\n\
         vt 0 0\nvt 1 0.25\nvn 0 0 2\nf -4 -3 -2 \\\n -1\nusemtl red paint\nf 1/1/1 2/2/1 3//1\n\
         usemtl blue\nf 2 3 4\nusemtl red paint\nf 1 2 4\nl 1 2\nf 1 2\n";
-    let Ingest { mesh, report } = load("dir/a.OBJ", text.as_bytes()).unwrap();
+    let Ingest { mesh, report, .. } = load("dir/a.OBJ", text.as_bytes()).unwrap();
     assert_eq!(mesh.faces, vec![[0, 1, 2], [0, 2, 3], [0, 1, 2], [1, 2, 3], [0, 1, 3]]);
     assert_eq!(mesh.face_materials, [0, 0, 1, 2, 1]);
     let names: Vec<_> = mesh.materials.iter().map(|m| m.name.as_str()).collect();
@@ -136,4 +136,18 @@ fn stl_in_both_kinds() {
     assert_eq!(load("unnamed", &binary).unwrap().report.notes[0].code, "format_by_content");
     let cut = text.replace("  vertex 0 1 0\r\n", "");
     assert!(error_of("a.stl", cut.as_bytes()).to_string().contains("2 vertices instead of 3"));
+}
+
+/// Point 4 coincides with point 0, which is not locked and matters less; point 3 is of no triangle.
+#[test]
+fn ply_locks_and_weights() {
+    let text = "ply\nformat ascii 1.0\nelement vertex 5\nproperty float x\nproperty float y\n\
+        property float z\nproperty uchar lock\nproperty float weight\nelement face 2\n\
+        property list uchar int vertex_indices\nend_header\n\
+        0 0 0 0 0.5\n1 0 0 2 99\n0 1 0 0 nan\n5 5 5 1 1\n0 0 0 1 3\n3 0 1 2\n3 4 2 1\n";
+    let Ingest { mesh, marks, report } = load("a.ply", text.as_bytes()).unwrap();
+    assert_eq!(mesh.positions.len(), 3);
+    assert_eq!((marks.locked, marks.weights), (vec![true, true, false], vec![3.0, 16.0, 1.0]));
+    let codes: Vec<_> = report.notes.iter().map(|n| n.code).collect();
+    assert_eq!(codes, ["weight_clamped"]);
 }

@@ -8,7 +8,7 @@ use crate::mesh::{Semantic, WedgeId};
 
 #[test]
 fn the_square_is_read() {
-    let Ingest { mesh, report } = load("square.glb", &square_glb()).unwrap();
+    let Ingest { mesh, report, .. } = load("square.glb", &square_glb()).unwrap();
     assert_eq!(mesh.faces, vec![[0, 1, 2], [2, 1, 3]]);
     assert_eq!(mesh.positions[3], DVec3::new(1.0, 1.0, 0.0));
     assert_eq!((report.boundary_edges, report.components, report.instances), (4, 1, 1));
@@ -37,7 +37,7 @@ fn instances_are_placed_and_mirrors_turned() {
         { "mesh": 0, "rotation": [0, 0, half, half] },
         { "mesh": 0, "matrix": [-1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 5, 1] },
     ]);
-    let Ingest { mesh, report } = load("x.glb", &glb(&json, &square_bin())).unwrap();
+    let Ingest { mesh, report, .. } = load("x.glb", &glb(&json, &square_bin())).unwrap();
     assert_eq!((report.instances, report.triangles, report.components), (2, 4, 2));
     let at = |i: usize, want: [f64; 3]| {
         let want = DVec3::from_array(want);
@@ -122,7 +122,7 @@ fn materials_and_what_is_left_out() {
     let points = json!({ "attributes": { "POSITION": 0 }, "mode": 0 });
     json["meshes"][0]["primitives"] =
         json!([primitive(json!(1)), primitive(json!(0)), bare, points]);
-    let Ingest { mesh, report } = load("x.glb", &glb(&json, &square_bin())).unwrap();
+    let Ingest { mesh, report, .. } = load("x.glb", &glb(&json, &square_bin())).unwrap();
     assert_eq!(mesh.face_materials, [1, 1, 0, 0, 2, 2]);
     assert_eq!(mesh.materials[0].base_color, [0.5, 0.25, 0.125, 1.0]);
     assert!(mesh.materials[0].double_sided && !mesh.materials[1].double_sided);
@@ -223,4 +223,39 @@ fn quantized_attributes_of_every_kind() {
     let seen = mesh.materials[0].base_texture.unwrap().transform;
     let seen = seen.map(|[a, b, c]| a * uv[0] + b * uv[1] + c);
     assert!((seen[0] - 1.0).abs() < 1e-6 && (seen[1] - 2048.0 / 4095.0).abs() < 1e-6, "{seen:?}");
+}
+
+/// The square with a lock mask in 16-bit integers and weights in normalized bytes, of which the second
+/// primitive, a copy a unit above, has none.
+#[test]
+fn vertices_are_locked_and_weighed_by_attributes() {
+    let (mut json, mut bin) = (square_json(), square_bin());
+    bin.extend([0_u16, 7, 0, 1].iter().flat_map(|v| v.to_le_bytes()));
+    bin.extend([255, 0, 51, 255]);
+    bin.extend(bytes_of(&[0., 0., 1., 1., 0., 1., 0., 1., 1., 1., 1., 1.]));
+    json["buffers"][0]["byteLength"] = bin.len().into();
+    for (offset, length) in [(60, 8), (68, 4), (72, 48)] {
+        let view = json!({ "buffer": 0, "byteOffset": offset, "byteLength": length });
+        json["bufferViews"].as_array_mut().unwrap().push(view);
+    }
+    for accessor in [
+        json!({ "bufferView": 2, "componentType": 5123, "count": 4, "type": "SCALAR" }),
+        json!({ "bufferView": 3, "componentType": 5121, "count": 4, "type": "SCALAR", "normalized": true }),
+        json!({ "bufferView": 4, "componentType": 5126, "count": 4, "type": "VEC3" }),
+    ] {
+        json["accessors"].as_array_mut().unwrap().push(accessor);
+    }
+    json["meshes"][0]["primitives"] = json!([
+        { "attributes": { "POSITION": 0, "_LOCK": 2, "_WEIGHT": 3 }, "indices": 1 },
+        { "attributes": { "POSITION": 4 }, "indices": 1 },
+    ]);
+    let ingest = load("x.glb", &glb(&json, &bin)).unwrap();
+    let marks = ingest.marks;
+    let (f, t) = (false, true);
+    assert_eq!(marks.locked, [f, t, f, t, f, f, f, f]);
+    assert_eq!(marks.weights, [1.0, 0.0, 0.2, 1.0, 1.0, 1.0, 1.0, 1.0]);
+    assert!(ingest.report.notes.is_empty(), "{:?}", ingest.report.notes);
+    json["accessors"][2]["count"] = 3.into();
+    let error = error_of("x.glb", &glb(&json, &bin)).to_string();
+    assert!(error.contains("_LOCK") && error.contains("3 values for 4 positions"), "{error}");
 }

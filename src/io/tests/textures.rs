@@ -56,7 +56,7 @@ fn everything_is_carried() {
         ]);
         json["images"][1]["name"] = "second".into();
     });
-    let Ingest { mesh, report } = load("a.glb", &bytes).unwrap();
+    let Ingest { mesh, report, .. } = load("a.glb", &bytes).unwrap();
     let codes: Vec<_> = report.notes.iter().map(|n| n.code).collect();
     assert_eq!(codes, ["textures_not_evaluated"]);
     let sources: Vec<_> = mesh.materials.iter().map(|m| m.source.clone().unwrap()).collect();
@@ -100,7 +100,7 @@ fn webp_alone_is_required() {
 /// is not there.
 #[track_caller]
 fn check_broken(edit: impl FnOnce(&mut Value), code: &str, said: &str) -> Mesh {
-    let Ingest { mesh, report } = load("a.glb", &textured_glb(&[png(), png()], edit)).unwrap();
+    let Ingest { mesh, report, .. } = load("a.glb", &textured_glb(&[png(), png()], edit)).unwrap();
     let text: Vec<_> = report.notes.iter().map(|n| (n.code, n.text.as_str())).collect();
     let is_said = text.iter().any(|(c, t)| *c == code && t.contains(said));
     assert!(is_said, "{code}, {said}: {text:#?}");
@@ -190,7 +190,7 @@ fn data_uris_hold_images_too() {
         json["images"] = json!([{ "uri": uri }]);
         json["textures"] = json!([{ "source": 0 }]);
     });
-    let Ingest { mesh, report } = load("a.glb", &bytes).unwrap();
+    let Ingest { mesh, report, .. } = load("a.glb", &bytes).unwrap();
     assert_eq!(&*mesh.images[0].bytes, png());
     assert!(mesh.images[0].pixels.is_some() && report.notes.is_empty());
     assert_eq!(check_trip(&mesh)["images"][0], json!({ "bufferView": 3, "mimeType": "image/png" }));
@@ -211,7 +211,7 @@ fn specular_glossiness_gives_base_colours() {
             json["materials"] = json!([material]);
             json["extensionsUsed"] = json!(["KHR_materials_pbrSpecularGlossiness"]);
         });
-        let Ingest { mesh, report } = load("a.glb", &bytes).unwrap();
+        let Ingest { mesh, report, .. } = load("a.glb", &bytes).unwrap();
         let found = &mesh.materials[0];
         assert_eq!((found.base_texture.unwrap().texture, found.base_color), (texture, color));
         let codes: Vec<_> = report.notes.iter().map(|n| n.code).collect();

@@ -1,9 +1,11 @@
 //! What a job is asked to do: plain data, validated as a whole, stored as JSON.
 
+mod levels;
 mod optimize;
 
 use serde::{Deserialize, Serialize};
 
+pub use levels::LevelBudget;
 pub use optimize::{Optimize, Solver};
 
 /// How the levels are made.
@@ -69,6 +71,18 @@ pub enum Topology {
     Free,
 }
 
+/// Edges whose vertices stay where they are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Lock {
+    /// Edges that have not exactly two triangles.
+    Border,
+    /// Edges across which the material, texture coordinates or colours change abruptly.
+    Seam,
+    /// Edges at which the surface turns by `hard_edge_degrees` or more.
+    HardEdge,
+}
+
 /// Run-time pictures: views, size, light.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -93,6 +107,9 @@ pub struct Render {
     pub shading: Shading,
     /// How many of the views cull front faces, so that they see the interior.
     pub interior_views: u32,
+    /// How much each view counts, 0 to 16, one weight a view; empty: all the same.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub view_weights: Vec<u32>,
 }
 
 impl Default for Render {
@@ -108,6 +125,7 @@ impl Default for Render {
             light_degrees: 10.0,
             shading: Shading::Flat,
             interior_views: 0,
+            view_weights: Vec::new(),
         }
     }
 }
@@ -127,13 +145,24 @@ pub struct Input {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Spec {
-    /// Triangles of each level of detail, in the order the caller wants them back; none where
-    /// `ratios` or `simplified` is given.
+    /// Triangles of each level of detail, in the order the caller wants them back; 0: this level has
+    /// no such budget. Levels go as far as all their budgets allow ([`LevelBudget`]).
     #[serde(default)]
     pub triangles: Vec<u32>,
-    /// The same as shares of the original's triangles, each above 0 and below 1.
+    /// The same as shares of the original's triangles, below 1.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub ratios: Vec<f64>,
+    /// Each level goes no further than to so much of d2 on the run-time views, in percent of full
+    /// scale; one value is for all levels, 0 means none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub max_d2: Vec<f64>,
+    /// Each level may stand in for the original where the bounding sphere is so many pixels high on
+    /// the screen; one value is for all levels, 0 means none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub screen_size: Vec<f64>,
+    /// The GLB file of each level has at most so many bytes; one value is for all levels, 0 means none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub max_bytes: Vec<u64>,
     /// A mesh that some tool has simplified the original to.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub simplified: Option<Input>,
@@ -152,10 +181,12 @@ pub struct Spec {
     /// Weight of the surface against the boundary in the memoryless cost, 0 to 1.
     #[serde(default = "default_lambda")]
     pub lambda: f64,
-    /// The image-driven stage ends before a collapse that would lift d2 on the run-time views, in
-    /// percent of full scale, above this; 0 means none.
-    #[serde(default, skip_serializing_if = "is_zero")]
-    pub max_d2: f64,
+    /// Edges whose vertices no stage moves or removes.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub lock: Vec<Lock>,
+    /// Where the surface turns by so much or more, an edge is hard; degrees, 1 to 180.
+    #[serde(default = "default_hard_edge_degrees")]
+    pub hard_edge_degrees: f64,
     /// The run-time pictures.
     #[serde(default)]
     pub render: Render,
@@ -173,14 +204,14 @@ pub struct Spec {
     pub seed: u64,
 }
 
-fn is_zero(x: &f64) -> bool {
-    *x == 0.0
-}
 fn default_start_factor() -> f64 {
     4.0
 }
 fn default_lambda() -> f64 {
     0.5
+}
+fn default_hard_edge_degrees() -> f64 {
+    60.0
 }
 
 impl Spec {
@@ -189,13 +220,17 @@ impl Spec {
         Self {
             triangles,
             ratios: Vec::new(),
+            max_d2: Vec::new(),
+            screen_size: Vec::new(),
+            max_bytes: Vec::new(),
             simplified: None,
             method: Method::default(),
             effort: Effort::default(),
             topology: Topology::default(),
             start_factor: default_start_factor(),
             lambda: default_lambda(),
-            max_d2: 0.0,
+            lock: Vec::new(),
+            hard_edge_degrees: default_hard_edge_degrees(),
             render: Render::default(),
             optimize: Optimize::default(),
             max_evaluations: 0,
@@ -216,6 +251,8 @@ pub struct Fault {
 
 /// Most levels of detail of one job.
 pub const MAX_LEVELS: usize = 64;
+/// Greatest weight of a view.
+pub const MAX_VIEW_WEIGHT: u32 = 16;
 /// Most custom views of one job.
 pub const MAX_VIEWS: usize = 64;
 const VIEW_COUNTS: [u32; 6] = [4, 6, 8, 12, 20, 24];
@@ -224,19 +261,6 @@ impl Spec {
     /// The job that optimizes what some tool has simplified the original to.
     pub fn optimizing(simplified: Input) -> Self {
         Self { simplified: Some(simplified), ..Self::new(Vec::new()) }
-    }
-
-    /// How many levels the job makes.
-    pub fn n_levels(&self) -> usize {
-        if self.simplified.is_some() { 1 } else { self.triangles.len().max(self.ratios.len()) }
-    }
-
-    /// The same job with numbers of triangles in place of shares of so many, which the original has.
-    #[must_use]
-    pub fn resolved(mut self, n_original: usize) -> Self {
-        let count = |ratio: f64| (ratio * n_original as f64).round().max(1.0) as u32;
-        self.triangles.extend(self.ratios.drain(..).map(count));
-        self
     }
 
     /// Every fault of the specification; empty when it can run.
@@ -249,8 +273,8 @@ impl Spec {
         range(&mut faults, "start_factor", self.start_factor, 1.0, 1000.0);
         range(&mut faults, "lambda", self.lambda, 0.0, 1.0);
         range(&mut faults, "max_secs", self.max_secs, 0.0, 1e9);
-        range(&mut faults, "max_d2", self.max_d2, 0.0, 100.0);
-        self.validate_max_d2(&mut faults);
+        range(&mut faults, "hard_edge_degrees", self.hard_edge_degrees, 1.0, 180.0);
+        self.validate_lock(&mut faults);
         self.render.validate(&mut faults);
         self.optimize.validate(self.render.shading == Shading::Smooth, &mut faults);
         faults
@@ -263,6 +287,9 @@ impl Spec {
         let rules = [
             ("triangles", !self.triangles.is_empty(), kept),
             ("ratios", !self.ratios.is_empty(), kept),
+            ("max_d2", !self.max_d2.is_empty(), kept),
+            ("screen_size", !self.screen_size.is_empty(), kept),
+            ("max_bytes", !self.max_bytes.is_empty(), kept),
             ("optimize", self.optimize.is_off(), off),
         ];
         let broken = rules.into_iter().filter(|(_, is_broken, _)| *is_broken);
@@ -271,45 +298,10 @@ impl Spec {
         );
     }
 
-    /// Whether there is a stage that knows of d2.
-    fn validate_max_d2(&self, faults: &mut Vec<Fault>) {
-        let text = match (&self.simplified, self.method) {
-            (Some(_), _) => "a mesh that is simplified already keeps its triangles: leave this out",
-            (None, Method::Memoryless | Method::Cluster) => {
-                "only image-driven simplification looks at pictures: leave this out, or ask for that"
-            }
-            (None, Method::Image) => return,
-        };
-        if self.max_d2 > 0.0 {
-            faults.push(Fault { field: "max_d2".into(), text: text.into() });
-        }
-    }
-
-    fn validate_levels(&self, faults: &mut Vec<Fault>) {
-        let levels = self.n_levels();
-        let field = if self.ratios.is_empty() { "triangles" } else { "ratios" };
-        let mut fault = |field: &str, text: String| {
-            faults.push(Fault { field: field.into(), text });
-        };
-        if !self.ratios.is_empty() && !self.triangles.is_empty() {
-            let text = "numbers of triangles are given too: leave one of the two out";
-            fault(field, text.into());
-        }
-        if levels == 0 || levels > MAX_LEVELS {
-            fault(field, format!("{levels} levels of detail: ask for 1 to {MAX_LEVELS}"));
-        } else if self.method == Method::Cluster && levels > 1 {
-            let text = format!("{levels} levels: vertex clustering makes one, so ask for one");
-            fault(field, text);
-        }
-        for (i, _) in self.triangles.iter().enumerate().filter(|(_, n)| **n == 0) {
-            let text = "0 triangles is not a level of detail: ask for at least 1".into();
-            fault(&format!("triangles[{i}]"), text);
-        }
-        for (i, ratio) in self.ratios.iter().enumerate() {
-            if !(*ratio > 0.0 && *ratio < 1.0) {
-                let text = format!("{ratio} of the triangles: use a share above 0 and below 1");
-                fault(&format!("ratios[{i}]"), text);
-            }
+    fn validate_lock(&self, faults: &mut Vec<Fault>) {
+        if !self.lock.is_empty() && self.simplified.is_none() && self.method == Method::Cluster {
+            let text = "vertex clustering keeps no vertex for certain: leave this out, or simplify otherwise";
+            faults.push(Fault { field: "lock".into(), text: text.into() });
         }
     }
 }
@@ -350,10 +342,30 @@ impl Render {
             );
             fault("interior_views", text);
         }
+        self.validate_weights(faults);
         range(faults, "render.fov_degrees", self.fov_degrees, 5.0, 120.0);
         range(faults, "render.background", self.background, 0.0, 1.0);
         range(faults, "render.ambient", self.ambient, 0.0, 1.0);
         range(faults, "render.light_degrees", self.light_degrees, 0.0, 90.0);
+    }
+}
+
+impl Render {
+    fn validate_weights(&self, faults: &mut Vec<Fault>) {
+        let weights = &self.view_weights;
+        let mut fault = |field: String, text: String| faults.push(Fault { field, text });
+        for (i, weight) in weights.iter().enumerate().filter(|(_, w)| **w > MAX_VIEW_WEIGHT) {
+            let text = format!("{weight}: use 0 to {MAX_VIEW_WEIGHT}");
+            fault(format!("render.view_weights[{i}]"), text);
+        }
+        let (n_weights, n_views) = (weights.len(), self.view_count());
+        if n_weights > 0 && n_weights != n_views {
+            let text = format!("{n_weights} weights for {n_views} views: give one a view");
+            fault("render.view_weights".into(), text);
+        } else if n_weights > 0 && weights.iter().all(|w| *w == 0) {
+            let text = "no view counts anything: give one a weight above 0".to_owned();
+            fault("render.view_weights".into(), text);
+        }
     }
 }
 
@@ -365,105 +377,4 @@ fn range(faults: &mut Vec<Fault>, field: &str, value: f64, low: f64, high: f64) 
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn fields(spec: &Spec) -> Vec<String> {
-        spec.validate().into_iter().map(|fault| fault.field).collect()
-    }
-
-    #[test]
-    fn the_default_job_is_sound() {
-        assert_eq!(Spec::new(vec![500, 100]).validate(), []);
-        let read: Spec = serde_json::from_str(r#"{"triangles": [500, 100]}"#).unwrap();
-        assert_eq!(read, Spec::new(vec![500, 100]));
-    }
-
-    #[test]
-    fn every_fault_is_listed_at_once() {
-        let mut spec = Spec::new(vec![10, 0]);
-        spec.start_factor = 0.5;
-        spec.lambda = f64::NAN;
-        spec.max_secs = f64::INFINITY;
-        spec.render.n_views = 7;
-        spec.render.image_size = 100;
-        spec.render.interior_views = 8;
-        spec.render.background = -0.1;
-        let wanted = [
-            "triangles[1]",
-            "start_factor",
-            "lambda",
-            "max_secs",
-            "render.n_views",
-            "render.image_size",
-            "render.interior_views",
-            "render.background",
-        ];
-        assert_eq!(fields(&spec), wanted);
-    }
-
-    #[test]
-    fn levels_are_numbers_or_shares_of_triangles() {
-        let mut spec = Spec { ratios: vec![0.25, 1e-9], ..Spec::new(Vec::new()) };
-        assert_eq!((spec.validate(), spec.n_levels()), (vec![], 2));
-        let read: Spec = serde_json::from_str(r#"{"ratios": [0.25, 1e-9]}"#).unwrap();
-        assert_eq!(read, spec);
-        assert_eq!(read.resolved(1002), Spec::new(vec![251, 1]));
-        spec.triangles = vec![7];
-        spec.ratios.extend([0.0, 1.0, f64::NAN]);
-        assert_eq!(fields(&spec), ["ratios", "ratios[2]", "ratios[3]", "ratios[4]"]);
-        assert_eq!(fields(&Spec::new(Vec::new())), ["triangles"]);
-    }
-
-    #[test]
-    fn d2_is_for_those_who_look_at_pictures() {
-        let mut spec = Spec { max_d2: 2.5, ..Spec::new(vec![10]) };
-        assert_eq!(spec.validate(), []);
-        for method in [Method::Memoryless, Method::Cluster] {
-            spec.method = method;
-            assert_eq!(fields(&spec), ["max_d2"]);
-        }
-        spec = Spec { max_d2: f64::NAN, ..Spec::new(vec![10]) };
-        assert_eq!(fields(&spec), ["max_d2"]);
-    }
-
-    #[test]
-    fn custom_views_replace_the_count() {
-        let mut spec = Spec::new(vec![10]);
-        spec.render.n_views = 7;
-        spec.render.custom_views = vec![[0.0, 0.0, 2.0]];
-        assert_eq!(spec.validate(), []);
-        spec.render.custom_views.push([0.0; 3]);
-        spec.render.custom_views.push([f64::INFINITY, 0.0, 0.0]);
-        assert_eq!(fields(&spec), ["render.custom_views[1]", "render.custom_views[2]"]);
-    }
-
-    #[test]
-    fn optimization_has_faults_of_its_own() {
-        let mut spec = Spec::new(vec![10, 20]);
-        spec.method = Method::Cluster;
-        spec.optimize.until = Some(1.5);
-        spec.optimize.max_secs = Some(f64::NAN);
-        spec.optimize.delta = 0.0;
-        spec.optimize.normals = true;
-        let wanted = ["triangles", "optimize.max_secs", "optimize.until", "optimize.delta"];
-        assert_eq!(fields(&spec), [&wanted[..], &["optimize.normals"]].concat());
-        let input = || Input { mesh: "a".repeat(64), file_name: "crude.ply".into() };
-        let mut spec = Spec::optimizing(input());
-        assert_eq!((spec.validate(), spec.n_levels()), (vec![], 1));
-        spec.triangles = vec![9];
-        spec.ratios = vec![0.5];
-        spec.max_d2 = 1.0;
-        spec.optimize.max_evaluations = Some(0);
-        assert_eq!(fields(&spec), ["triangles", "ratios", "optimize", "max_d2"]);
-    }
-
-    #[test]
-    fn numbers_survive_storage() {
-        let mut spec = Spec::new(vec![10]);
-        spec.seed = u64::MAX;
-        spec.render.custom_views = vec![[1.0 / 3.0, std::f64::consts::PI, -1e-300]];
-        let text = serde_json::to_string(&spec).unwrap();
-        assert_eq!(serde_json::from_str::<Spec>(&text).unwrap(), spec);
-    }
-}
+mod tests;

@@ -94,7 +94,8 @@ impl Device {
         self.energy = 0;
         for view in 0..scene.n_views() {
             let fronts = self.fronts(view)?;
-            self.energy += squared_difference(&self.reference.pictures[view], &fronts);
+            self.energy += u64::from(scene.views[view].weight)
+                * squared_difference(&self.reference.pictures[view], &fronts);
             self.refresh_bounds(view, &fronts);
         }
         Ok(())
@@ -180,8 +181,9 @@ impl Device {
         let mut cut_off = BTreeSet::new();
         self.work.finish(&self.gpu, encoder, order.items.len(), None, |sums| {
             for (k, sum) in order.items.iter().zip(sums) {
-                let owner = packed.items[*k as usize].owner as usize;
-                deltas[owner] += i64::from(*sum as i32);
+                let item = &packed.items[*k as usize];
+                let owner = item.owner as usize;
+                deltas[owner] += item.weighed(scene, *sum);
                 if *sum == CUT_OFF {
                     cut_off.insert(owner);
                 }
@@ -247,7 +249,8 @@ impl Device {
             }
             let judged = sums[..order.n_judged()].iter();
             let whole = judged.clone().all(|sum| *sum != CUT_OFF);
-            let delta = judged.map(|sum| i64::from(*sum as i32)).sum();
+            let items = order.items.iter().map(|k| &packed.items[*k as usize]);
+            let delta = items.zip(judged).map(|(item, sum)| item.weighed(scene, *sum)).sum();
             Made { delta: whole.then_some(delta), used: Counters::of(counters) }
         })
     }

@@ -66,6 +66,11 @@ impl Item {
         ]
     }
 
+    /// What its sum is in the energy.
+    pub(super) fn weighed(&self, scene: &Scene, sum: u32) -> i64 {
+        i64::from(scene.views[self.view as usize].weight) * i64::from(sum as i32)
+    }
+
     /// Pixels / 4.
     pub(super) fn area(&self) -> u32 {
         self.n_cells.0 * self.n_cells.1

@@ -2,7 +2,8 @@
 
 use super::{mesh_hash, mesh_name, v1};
 use crate::jobs::spec::{
-    Effort, Fault, Input, Method, Optimize, Projection, Render, Shading, Solver, Spec, Topology,
+    Effort, Fault, Input, Lock, Method, Optimize, Projection, Render, Shading, Solver, Spec,
+    Topology,
 };
 
 const METHODS: [(v1::Method, Method); 3] = [
@@ -26,6 +27,12 @@ const TOPOLOGIES: [(v1::Topology, Topology); 3] = [
     (v1::Topology::Free, Topology::Free),
 ];
 
+const LOCKS: [(v1::Lock, Lock); 3] = [
+    (v1::Lock::Border, Lock::Border),
+    (v1::Lock::Seam, Lock::Seam),
+    (v1::Lock::HardEdge, Lock::HardEdge),
+];
+
 const SHADINGS: [(v1::Shading, Shading); 2] =
     [(v1::Shading::Flat, Shading::Flat), (v1::Shading::Smooth, Shading::Smooth)];
 
@@ -35,7 +42,9 @@ const PROJECTIONS: [(v1::Projection, Projection); 2] = [
 ];
 
 /// Names on the wire of fields that have another one in [`crate::jobs`], or stand elsewhere.
-const WIRE_NAMES: [(&str, &str); 4] = [
+const WIRE_NAMES: [(&str, &str); 5] = [
+    // `max_d2` itself is one for all levels.
+    ("max_d2", "level_max_d2"),
     // A reserved word in a client's language.
     ("lambda", "surface_weight"),
     ("optimize", "optimization"),
@@ -48,7 +57,8 @@ pub fn field_on_wire(spec: &Spec, field: &str) -> String {
     let Some(inner) = field.strip_prefix("spec.") else { return field.into() };
     let kind = if spec.simplified.is_some() { "optimize" } else { "simplify" };
     let renamed = |(ours, theirs): &(&str, &str)| {
-        let rest = inner.strip_prefix(ours).filter(|r| r.is_empty() || r.starts_with('.'))?;
+        let rest =
+            inner.strip_prefix(ours).filter(|r| r.is_empty() || r.starts_with(['.', '[']))?;
         Some(format!("spec.{kind}.{theirs}{rest}"))
     };
     WIRE_NAMES.iter().find_map(renamed).unwrap_or_else(|| format!("spec.{kind}.{inner}"))
@@ -72,7 +82,12 @@ fn simplify_to_wire(spec: &Spec) -> v1::SimplifySpec {
         topology: to_wire(&TOPOLOGIES, spec.topology),
         start_factor: Some(spec.start_factor),
         surface_weight: Some(spec.lambda),
-        max_d2: spec.max_d2,
+        max_d2: 0.0,
+        level_max_d2: spec.max_d2.clone(),
+        screen_size: spec.screen_size.clone(),
+        max_bytes: spec.max_bytes.clone(),
+        lock: locks_to_wire(spec),
+        hard_edge_degrees: Some(spec.hard_edge_degrees),
         render: Some(render_to_wire(&spec.render)),
         optimization: Some(optimization_to_wire(&spec.optimize)),
         max_evaluations: spec.max_evaluations,
@@ -91,7 +106,13 @@ fn optimize_to_wire(spec: &Spec, input: &Input) -> v1::OptimizeSpec {
         max_secs: spec.max_secs,
         seed: spec.seed,
         topology: to_wire(&TOPOLOGIES, spec.topology),
+        lock: locks_to_wire(spec),
+        hard_edge_degrees: Some(spec.hard_edge_degrees),
     }
+}
+
+fn locks_to_wire(spec: &Spec) -> Vec<i32> {
+    spec.lock.iter().map(|lock| to_wire(&LOCKS, *lock)).collect()
 }
 
 fn optimization_to_wire(optimize: &Optimize) -> v1::Optimization {
@@ -118,6 +139,7 @@ fn render_to_wire(render: &Render) -> v1::RenderSpec {
         light_degrees: Some(render.light_degrees),
         shading: to_wire(&SHADINGS, render.shading),
         interior_views: render.interior_views,
+        view_weights: render.view_weights.clone(),
     }
 }
 
@@ -145,7 +167,11 @@ fn simplify_from_wire(wire: v1::SimplifySpec, faults: &mut Vec<Fault>) -> Spec {
         topology: from_wire(&TOPOLOGIES, wire.topology, "topology", faults),
         start_factor: wire.start_factor.unwrap_or(default.start_factor),
         lambda: wire.surface_weight.unwrap_or(default.lambda),
-        max_d2: wire.max_d2,
+        max_d2: max_d2_from_wire(wire.max_d2, wire.level_max_d2, faults),
+        screen_size: wire.screen_size,
+        max_bytes: wire.max_bytes,
+        lock: locks_from_wire(&wire.lock, faults),
+        hard_edge_degrees: wire.hard_edge_degrees.unwrap_or(default.hard_edge_degrees),
         render: render_from_wire(&wire.render.unwrap_or_default(), faults),
         optimize: optimization_from_wire(&wire.optimization.unwrap_or_default(), faults),
         max_evaluations: wire.max_evaluations,
@@ -155,8 +181,33 @@ fn simplify_from_wire(wire: v1::SimplifySpec, faults: &mut Vec<Fault>) -> Spec {
     }
 }
 
+fn max_d2_from_wire(for_all: f64, of_levels: Vec<f64>, faults: &mut Vec<Fault>) -> Vec<f64> {
+    if for_all == 0.0 {
+        return of_levels;
+    }
+    if !of_levels.is_empty() {
+        let text = "max_d2 is given too: leave one of the two out".into();
+        faults.push(Fault { field: "spec.max_d2".into(), text });
+    }
+    vec![for_all]
+}
+
+fn locks_from_wire(wire: &[i32], faults: &mut Vec<Fault>) -> Vec<Lock> {
+    let mut locks = Vec::with_capacity(wire.len());
+    for (i, word) in wire.iter().enumerate() {
+        if let Some((_, lock)) = LOCKS.iter().find(|(known, _)| i32::from(*known) == *word) {
+            locks.push(*lock);
+        } else {
+            let text = format!("{word} is no value this server knows");
+            faults.push(Fault { field: format!("spec.lock[{i}]"), text });
+        }
+    }
+    locks
+}
+
 fn optimize_from_wire(wire: v1::OptimizeSpec, faults: &mut Vec<Fault>) -> Spec {
     let mesh = mesh_hash(&wire.simplified_mesh);
+    let default = Spec::optimizing(Input { mesh, file_name: wire.simplified_file_name });
     Spec {
         topology: from_wire(&TOPOLOGIES, wire.topology, "topology", faults),
         render: render_from_wire(&wire.render.unwrap_or_default(), faults),
@@ -164,7 +215,9 @@ fn optimize_from_wire(wire: v1::OptimizeSpec, faults: &mut Vec<Fault>) -> Spec {
         max_evaluations: wire.max_evaluations,
         max_secs: wire.max_secs,
         seed: wire.seed,
-        ..Spec::optimizing(Input { mesh, file_name: wire.simplified_file_name })
+        lock: locks_from_wire(&wire.lock, faults),
+        hard_edge_degrees: wire.hard_edge_degrees.unwrap_or(default.hard_edge_degrees),
+        ..default
     }
 }
 
@@ -192,6 +245,7 @@ fn render_from_wire(wire: &v1::RenderSpec, faults: &mut Vec<Fault>) -> Render {
         light_degrees: wire.light_degrees.unwrap_or(default.light_degrees),
         shading: from_wire(&SHADINGS, wire.shading, "render.shading", faults),
         interior_views: wire.interior_views,
+        view_weights: wire.view_weights.clone(),
     }
 }
 
@@ -231,19 +285,25 @@ mod tests {
         let words = (pick(&METHODS), pick(&EFFORTS), pick(&TOPOLOGIES), looks, pick(&SOLVERS));
         let views = prop::collection::vec(prop::array::uniform3(-1.0..1.0f64), 0..3);
         let ratios = prop::collection::vec(0.0..1.0f64, 0..3);
-        let levels = (prop::collection::vec(any::<u32>(), 0..4), ratios);
+        let budgets = (ratios.clone(), ratios.clone(), prop::collection::vec(any::<u64>(), 0..3));
+        let locks = prop::collection::vec(pick(&LOCKS), 0..4);
+        let levels = (prop::collection::vec(any::<u32>(), 0..4), ratios, budgets, locks);
         let counts = (levels, prop::array::uniform3(0..99u32));
         (numbers, words, views, counts, any::<u64>(), any::<u64>()).prop_map(
-            |(x, words, custom_views, ((triangles, ratios), n), seed, max_evaluations)| Spec {
-                triangles,
-                ratios,
+            |(x, words, custom_views, (levels, n), seed, max_evaluations)| Spec {
+                triangles: levels.0.clone(),
+                ratios: levels.1,
+                max_d2: levels.2.0,
+                screen_size: levels.2.1,
+                max_bytes: levels.2.2,
+                lock: levels.3,
+                hard_edge_degrees: x[5] / 3.0,
                 simplified: None,
                 method: words.0,
                 effort: words.1,
                 topology: words.2,
                 start_factor: x[0],
                 lambda: x[1],
-                max_d2: x[4] / 7.0,
                 render: Render {
                     n_views: n[0],
                     custom_views,
@@ -255,6 +315,7 @@ mod tests {
                     light_degrees: x[5],
                     shading: words.3.0,
                     interior_views: n[2],
+                    view_weights: levels.0,
                 },
                 optimize: Optimize {
                     max_evaluations: (n[0] > 50).then_some(seed / 3),
@@ -275,10 +336,12 @@ mod tests {
     fn optimizing(spec: Spec) -> Spec {
         let input = Input { mesh: "0".repeat(64), file_name: "crude.ply".into() };
         let (topology, render) = (spec.topology, spec.render);
+        let (lock, hard_edge_degrees) = (spec.lock, spec.hard_edge_degrees);
         let (optimize, max_evaluations, max_secs) =
             (spec.optimize, spec.max_evaluations, spec.max_secs);
         let seed = spec.seed;
         let base = Spec::optimizing(input);
+        let base = Spec { lock, hard_edge_degrees, ..base };
         Spec { topology, render, optimize, max_evaluations, max_secs, seed, ..base }
     }
 
@@ -327,9 +390,14 @@ mod tests {
             simplify.method = 99;
             simplify.effort = -1;
             simplify.topology = 4;
+            simplify.lock = vec![1, 0];
+            (simplify.max_d2, simplify.level_max_d2) = (1.0, vec![2.0]);
         }
         let fields: Vec<_> = spec_from_wire(Some(wire)).1.into_iter().map(|f| f.field).collect();
-        assert_eq!(fields, ["spec.method", "spec.effort", "spec.topology"]);
+        assert_eq!(
+            fields,
+            ["spec.method", "spec.effort", "spec.topology", "spec.max_d2", "spec.lock[1]"]
+        );
         assert_eq!(spec_from_wire(None).1.len(), 1);
     }
 }

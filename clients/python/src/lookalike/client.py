@@ -71,9 +71,11 @@ class Client:
         """Uploads `model`, creates a job for levels of `triangles` each, and follows it.
 
         The model is a trimesh object, a path, or bytes with their `file_name`. `request_id` names
-        this request: the same again finds the job it made. `ratios`, shares of the model's triangles,
-        stand in for `triangles`. Other keywords are the fields of SimplifySpec and RenderSpec, such as method="image", effort="fast", n_views=20, seed=0, and
-        those of Optimization behind `optimize_`, such as optimize_max_evaluations=0.
+        this request: the same again finds the job it made. Levels may be given by `ratios` (shares
+        of the model's triangles), `max_d2`, `screen_size` (pixels) or `max_bytes` as well or instead,
+        one value a level. Other keywords are the fields of SimplifySpec and RenderSpec, such as
+        method="image", effort="fast", lock="border", n_views=20, seed=0, and those of Optimization
+        behind `optimize_`, such as optimize_max_evaluations=0.
         """
         # Before the upload, so that a misspelt option costs nothing.
         work = spec.simplify_spec(triangles, **options)

@@ -91,7 +91,14 @@ class Run:
         paths = [] if folder is None else self._client.fetch(job.name, folder)
         # A mesh that was simplified already is one level.
         asked = job.spec.simplify
-        n_levels = len(asked.triangles) or len(asked.ratios) or 1
+        budgets = (
+            asked.triangles,
+            asked.ratios,
+            asked.level_max_d2,
+            asked.screen_size,
+            asked.max_bytes,
+        )
+        n_levels = max(map(len, budgets)) or 1
         levels = [f"lod-{i}.glb" for i in range(n_levels)]
         files = self._files([*levels, "report.json"], paths)
         lods = [models.load_glb(files[level], self._like) for level in levels]

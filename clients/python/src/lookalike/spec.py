@@ -22,6 +22,8 @@ _W = TypeVar("_W", spec_pb2.SimplifySpec, spec_pb2.OptimizeSpec)
 _GROUPS = {"render": "", "optimization": "optimize_"}
 #: Fields that are arguments, not keywords.
 _ARGUMENTS = {"triangles", "simplified_mesh", "simplified_file_name"}
+#: Fields of one value for all levels, and the field of as many values as are given.
+_PER_LEVEL = {"max_d2": "level_max_d2"}
 
 Path = tuple[str | None, FieldDescriptor]
 
@@ -33,7 +35,9 @@ def _options(kind: Descriptor) -> dict[str, Path]:
         if name in _GROUPS:
             for inner in field.message_type.fields:
                 found[_GROUPS[name] + inner.name] = (name, inner)
-        elif name not in _ARGUMENTS:
+        elif name in _PER_LEVEL:
+            found[name] = (None, kind.fields_by_name[_PER_LEVEL[name]])
+        elif name not in _ARGUMENTS and name not in _PER_LEVEL.values():
             found[name] = (None, field)
     return found
 
@@ -47,7 +51,7 @@ def simplify_spec(triangles: int | Iterable[int] = (), **options: Any) -> spec_p
 
     Enum values are written in lower case (`effort="fast"`), directions as three numbers
     (`custom_views=[(1, 0, 0)]`); fields of the optimization begin with `optimize_`
-    (`optimize_max_evaluations=0`).
+    (`optimize_max_evaluations=0`). What is a list may be one value (`max_d2=3`, `lock="border"`).
     """
     spec = spec_pb2.SimplifySpec()
     _assign(spec, spec.DESCRIPTOR.fields_by_name["triangles"], triangles)
@@ -76,7 +80,7 @@ def _with_options(spec: _W, options: dict[str, Any]) -> _W:
 def enum_value(kind: EnumDescriptor, word: str) -> int:
     """The number of an enum value from its name without the prefix, in any case."""
     prefix = kind.values[0].name.removesuffix("UNSPECIFIED")
-    value = kind.values_by_name.get(prefix + str(word).upper())
+    value = kind.values_by_name.get(prefix + str(word).upper().replace("-", "_"))
     if value is None:
         words = ", ".join(v.name.removeprefix(prefix).lower() for v in kind.values[1:])
         raise ValueError(f"`{word}` is no {kind.name.lower()}: use {words}")
@@ -85,7 +89,11 @@ def enum_value(kind: EnumDescriptor, word: str) -> int:
 
 def _assign(message: Any, field: FieldDescriptor, value: Any) -> None:
     try:
-        if field.enum_type is not None:
+        if field.enum_type is not None and field.is_repeated:
+            words = value.split(",") if isinstance(value, str) else value
+            numbers = [enum_value(field.enum_type, word) for word in words]
+            getattr(message, field.name).extend(numbers)
+        elif field.enum_type is not None:
             setattr(message, field.name, enum_value(field.enum_type, value))
         elif field.message_type is not None:
             rows = getattr(message, field.name)
