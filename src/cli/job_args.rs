@@ -7,7 +7,9 @@ use clap::{
 use lookalike::jobs::spec::{Effort, Fault, Method, Spec, Topology};
 use serde::de::DeserializeOwned;
 
-use super::{exit::Failure, optimize_args::OptimizeArgs, picture_args::PictureArgs};
+use super::{
+    exit::Failure, optimize_args::OptimizeArgs, output_args::OutputArgs, picture_args::PictureArgs,
+};
 
 /// What to make of a mesh.
 #[derive(Args, Clone, Debug)]
@@ -51,6 +53,8 @@ pub(crate) struct JobArgs {
     lambda: f64,
     #[command(flatten)]
     optimize: OptimizeArgs,
+    #[command(flatten)]
+    output: OutputArgs,
     /// Stop after this many energy evaluations; 0 for no limit.
     #[arg(long, default_value_t = 0, value_name = "N")]
     max_evaluations: u64,
@@ -91,6 +95,7 @@ impl JobArgs {
             max_d2: self.max_d2,
             render: self.pictures.render(),
             optimize: self.optimize.optimize(),
+            output: self.output.output(),
             max_evaluations: self.max_evaluations,
             max_secs: self.max_secs,
             seed: self.seed,

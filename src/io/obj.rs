@@ -284,6 +284,7 @@ impl<'a> Reader<'a> {
             triangles: self.triangles,
             attributes,
             materials: PatchMaterials::Each(self.face_materials),
+            part: 0,
         };
         self.soup.push(self.source, patch)?;
         Ok(self.soup)

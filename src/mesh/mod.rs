@@ -10,6 +10,7 @@ mod error;
 mod legality;
 mod lists;
 mod model;
+mod parts;
 mod refine;
 mod revise;
 pub mod shapes;
@@ -31,5 +32,6 @@ pub use model::{
     AttributeLayer, Corner, EdgeId, FaceId, Image, Material, Mesh, Pixels, Semantic, Texture,
     TextureUse, VertexId, WedgeId, Wrap,
 };
+pub use parts::{Node, Part, Tree};
 pub use snapshot::Snapshot;
 pub use step::{MoveCount, Sample, Stage, Step};

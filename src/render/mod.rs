@@ -28,6 +28,6 @@ pub use device::{AdapterInfo, adapters};
 pub use evaluator::{Evaluator, Reference, RenderError};
 pub use moves::{AddedFace, MAX_MOVE_VERTICES, Move};
 pub use paint::{Paint, Painted, Texels};
-pub use raster::{energy, for_each_run, for_each_setup, picture, reference};
+pub use raster::{energy, for_each_run, for_each_setup, picture, reference, reference_and_seen};
 pub use scene::{RenderParams, Scene, SceneFace, Shading, Surface};
 pub use twin::Twin;

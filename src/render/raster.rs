@@ -1,7 +1,10 @@
 //! Full rendering of a scene on the host: reference pictures, and the sorted fragments of the
 //! current model. Slow but simple; the incremental paths are checked against it.
 
-use std::ops::Range;
+use std::{
+    ops::Range,
+    sync::atomic::{AtomicBool, Ordering},
+};
 
 use rayon::prelude::*;
 
@@ -24,13 +27,29 @@ pub struct Fragment {
 
 /// Renders the nearest surface in every view.
 pub fn reference(scene: &Scene) -> Reference {
-    Reference {
-        pictures: (0..scene.n_views()).into_par_iter().map(|v| picture(scene, v)).collect(),
-    }
+    reference_and_seen(scene).0
+}
+
+/// Likewise; and of each triangle, whether it is the nearest in some pixel of some view.
+pub fn reference_and_seen(scene: &Scene) -> (Reference, Vec<bool>) {
+    let seen: Vec<AtomicBool> = scene.faces.iter().map(|_| AtomicBool::new(false)).collect();
+    let draw = |view: usize| {
+        let nearest = nearest(scene, view);
+        let ids = nearest.iter().map(|key| key.1).filter(|id| *id != u32::MAX);
+        ids.for_each(|id| seen[id as usize].store(true, Ordering::Relaxed));
+        shade(scene, view, &nearest)
+    };
+    let pictures = (0..scene.n_views()).into_par_iter().map(draw).collect();
+    (Reference { pictures }, seen.into_iter().map(AtomicBool::into_inner).collect())
 }
 
 /// The picture of one view: 8-bit luminance, row by row from the top.
 pub fn picture(scene: &Scene, view: usize) -> Vec<u8> {
+    shade(scene, view, &nearest(scene, view))
+}
+
+/// Depth and triangle of what is nearest in each pixel; `u32::MAX` for nothing.
+fn nearest(scene: &Scene, view: usize) -> Vec<(u32, u32)> {
     let size = scene.lattice.size;
     let mut nearest = vec![(u32::MAX, u32::MAX); (size * size) as usize];
     let at = |i: i32, j: i32| (j * size + i) as usize;
@@ -45,6 +64,11 @@ pub fn picture(scene: &Scene, view: usize) -> Vec<u8> {
             });
         },
     );
+    nearest
+}
+
+fn shade(scene: &Scene, view: usize, nearest: &[(u32, u32)]) -> Vec<u8> {
+    let at = |i: i32, j: i32| (j * scene.lattice.size + i) as usize;
     // Most triangles of a dense model are not seen: shade only those that are.
     let mut is_seen = vec![false; scene.faces.len()];
     for (_, id) in nearest.iter().filter(|key| key.1 != u32::MAX) {

@@ -109,6 +109,8 @@ pub struct Level {
     pub stopped_by: StoppedBy,
     /// What optimization has done to it.
     pub optimized: Option<Optimized>,
+    /// Triangles that no run-time view sees, if they were drawn.
+    pub n_unseen: Option<usize>,
 }
 
 impl Level {
@@ -250,6 +252,7 @@ impl Levels {
             d2: self.d2,
             stopped_by: self.stop,
             optimized: None,
+            n_unseen: None,
         });
         matches!(self.stop, StoppedBy::Input | StoppedBy::Triangles) && !self.pending.is_empty()
     }
@@ -265,6 +268,11 @@ impl Levels {
     pub fn simplified(&mut self) -> impl Iterator<Item = &mut Level> {
         let is_given = self.is_given;
         self.done.iter_mut().filter(move |l| is_given || l.stopped_by != StoppedBy::Input)
+    }
+
+    /// Counts what the run-time views do not see of the levels as they are now.
+    pub fn look(&mut self, n_unseen: impl Fn(&Mesh) -> Option<usize>) {
+        self.done.iter_mut().for_each(|level| level.n_unseen = n_unseen(&level.mesh));
     }
 
     /// Levels in the order asked for.

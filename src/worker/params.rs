@@ -3,6 +3,7 @@
 use glam::DVec3;
 
 use crate::{
+    io::GlbOptions,
     jobs::spec::{self, Effort, Projection, Shading, Spec},
     memoryless,
     mesh::{Mesh, Topology},
@@ -51,6 +52,11 @@ pub fn image(spec: &Spec) -> simplify::Params {
         max_evaluations: spec.max_evaluations,
         max_energy: (spec.max_d2 > 0.0).then(|| energy_of_d2(spec.max_d2, n_pixels(spec) as u64)),
     }
+}
+
+/// How levels are written.
+pub fn glb_options(spec: &Spec) -> GlbOptions {
+    GlbOptions { quantize: spec.output.quantize, compress: spec.output.compress }
 }
 
 /// Evaluations for each triangle after which a run ends that was given another limit.

@@ -170,7 +170,7 @@ pub fn run(
         None => pictures.palette.clone(),
     };
     let n_coarsest = spec.triangles.iter().min().map_or(base.faces.len(), |n| *n as usize);
-    let levels = thread::scope(|scope| {
+    let (levels, n_unseen) = thread::scope(|scope| {
         let plan = Plan::new(spec, n_coarsest);
         let drawn = draw_ahead(scope, plan, (spec, &original), pictures.clone(), &critic);
         let studio = Studio::new(&original, (pictures, palette), drawn, device);
@@ -179,10 +179,11 @@ pub fn run(
         if spec.optimizes() {
             figures.extend(optimizing::run(&mut job, &mut levels, &mut recorder, &figures)?);
         }
-        Ok::<_, PipelineError>(levels)
+        levels.look(|mesh| job.studio.n_unseen_of(mesh));
+        Ok::<_, PipelineError>((levels, job.studio.n_unseen()))
     })?;
 
-    let attempt = results::Attempt { spec, ingest: &ingest, figures: &figures, start };
+    let attempt = results::Attempt { spec, ingest: &ingest, figures: &figures, start, n_unseen };
     results::write_all(out_dir, &original, &levels, &mut recorder, &attempt)
 }
 

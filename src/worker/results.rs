@@ -12,12 +12,17 @@ use crate::{
 };
 
 use super::{
+    chain,
     critic::look,
     levels::{Level, Levels, Optimized, StoppedBy},
+    params,
     pipeline::PipelineError,
     recorder::Recorder,
     switching::Switching,
+    vanished::Vanished,
 };
+
+const GLB: &str = "model/gltf-binary";
 
 /// What a stage cost.
 #[derive(Clone, Debug, Serialize)]
@@ -103,6 +108,8 @@ pub struct Attempt<'a> {
     pub figures: &'a [StageFigures],
     /// When the attempt began.
     pub start: Instant,
+    /// Triangles of the original that no run-time view sees, if they were drawn.
+    pub n_unseen: Option<usize>,
 }
 
 #[derive(Serialize)]
@@ -111,6 +118,9 @@ struct ReportFile<'a> {
     seed: u64,
     device: &'a str,
     input: &'a IngestReport,
+    /// Triangles of the original that are in front in no pixel of the run-time pictures; absent
+    /// without pictures.
+    never_seen_triangles: Option<usize>,
     spec: &'a Spec,
     levels: Vec<LevelReport<'a>>,
     stages: &'a [StageFigures],
@@ -130,6 +140,10 @@ struct LevelReport<'a> {
     stopped_by: StoppedBy,
     /// Distance from the centre, in bounding radii, from which on the level may stand in for the original.
     switch_distance_radii: Option<f64>,
+    /// Triangles of the level that are in front in no pixel of the run-time pictures.
+    never_seen_triangles: Option<usize>,
+    /// Parts of the original of which nothing is left; absent for a level that came with the job.
+    parts_vanished: Option<Vanished>,
     /// Absent where the level was not optimized.
     #[serde(skip_serializing_if = "Option::is_none")]
     optimization: Option<&'a Optimized>,
@@ -148,10 +162,19 @@ pub fn write_all(
     let mut out = Output { dir: out_dir, recorder };
     let mut reports = Vec::new();
     let switching = Switching::new(original);
+    let options = params::glb_options(attempt.spec);
     for (i, level) in levels.in_order().enumerate() {
         let file = format!("lod-{i}.glb");
-        out.write(&file, "model/gltf-binary", &io::write_glb(&level.mesh)?)?;
-        reports.push(level_report(file, level, &switching));
+        out.write(&file, GLB, &io::write_glb_with(&level.mesh, options)?)?;
+        let report = level_report(file, level, original, &switching);
+        if let Some(note) = report.parts_vanished.as_ref().and_then(|v| v.note(&level.name())) {
+            out.recorder.note("PARTS_VANISHED", &note)?;
+        }
+        reports.push(report);
+    }
+    let distances: Vec<_> = reports.iter().map(|r| r.switch_distance_radii).collect();
+    if let Some(bytes) = chain::file(levels, &distances, options)? {
+        out.write("lods.glb", GLB, &bytes)?;
     }
     out.write("progressive.lkpm", "application/octet-stream", &progressive)?;
     write_pictures(&mut out, attempt.spec, original, levels)?;
@@ -167,6 +190,7 @@ pub fn write_all(
         seed: attempt.spec.seed,
         device: attempt.figures.last().map_or("native", |f| f.device.as_str()),
         input: attempt.ingest,
+        never_seen_triangles: attempt.n_unseen,
         spec: attempt.spec,
         levels: reports,
         stages: attempt.figures,
@@ -190,7 +214,12 @@ impl Output<'_, '_> {
     }
 }
 
-fn level_report<'a>(file: String, level: &'a Level, switching: &Switching) -> LevelReport<'a> {
+fn level_report<'a>(
+    file: String,
+    level: &'a Level,
+    original: &Mesh,
+    switching: &Switching,
+) -> LevelReport<'a> {
     LevelReport {
         file,
         asked: level.target,
@@ -200,6 +229,8 @@ fn level_report<'a>(file: String, level: &'a Level, switching: &Switching) -> Le
         energy: level.energy,
         stopped_by: level.stopped_by,
         switch_distance_radii: switching.distance_radii(&level.mesh),
+        never_seen_triangles: level.n_unseen,
+        parts_vanished: Vanished::of(original, &level.mesh),
         optimization: level.optimized.as_ref(),
     }
 }

@@ -1,10 +1,12 @@
 //! What a job is asked to do: plain data, validated as a whole, stored as JSON.
 
 mod optimize;
+mod output;
 
 use serde::{Deserialize, Serialize};
 
 pub use optimize::{Optimize, Solver};
+pub use output::Output;
 
 /// How the levels are made.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -162,6 +164,9 @@ pub struct Spec {
     /// What is done to each level once it is simplified.
     #[serde(default)]
     pub optimize: Optimize,
+    /// How levels are written.
+    #[serde(default, skip_serializing_if = "Output::is_plain")]
+    pub output: Output,
     /// Upper bound on energy evaluations of the whole job; 0 means none.
     #[serde(default)]
     pub max_evaluations: u64,
@@ -198,6 +203,7 @@ impl Spec {
             max_d2: 0.0,
             render: Render::default(),
             optimize: Optimize::default(),
+            output: Output::default(),
             max_evaluations: 0,
             max_secs: 0.0,
             seed: 0,

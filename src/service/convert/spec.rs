@@ -2,7 +2,8 @@
 
 use super::{mesh_hash, mesh_name, v1};
 use crate::jobs::spec::{
-    Effort, Fault, Input, Method, Optimize, Projection, Render, Shading, Solver, Spec, Topology,
+    Effort, Fault, Input, Method, Optimize, Output, Projection, Render, Shading, Solver, Spec,
+    Topology,
 };
 
 const METHODS: [(v1::Method, Method); 3] = [
@@ -78,6 +79,7 @@ fn simplify_to_wire(spec: &Spec) -> v1::SimplifySpec {
         max_evaluations: spec.max_evaluations,
         max_secs: spec.max_secs,
         seed: spec.seed,
+        output: Some(output_to_wire(spec.output)),
     }
 }
 
@@ -91,7 +93,12 @@ fn optimize_to_wire(spec: &Spec, input: &Input) -> v1::OptimizeSpec {
         max_secs: spec.max_secs,
         seed: spec.seed,
         topology: to_wire(&TOPOLOGIES, spec.topology),
+        output: Some(output_to_wire(spec.output)),
     }
+}
+
+fn output_to_wire(output: Output) -> v1::Output {
+    v1::Output { quantize: output.quantize, compress: output.compress }
 }
 
 fn optimization_to_wire(optimize: &Optimize) -> v1::Optimization {
@@ -151,6 +158,7 @@ fn simplify_from_wire(wire: v1::SimplifySpec, faults: &mut Vec<Fault>) -> Spec {
         max_evaluations: wire.max_evaluations,
         max_secs: wire.max_secs,
         seed: wire.seed,
+        output: output_from_wire(wire.output),
         ..default
     }
 }
@@ -164,8 +172,14 @@ fn optimize_from_wire(wire: v1::OptimizeSpec, faults: &mut Vec<Fault>) -> Spec {
         max_evaluations: wire.max_evaluations,
         max_secs: wire.max_secs,
         seed: wire.seed,
+        output: output_from_wire(wire.output),
         ..Spec::optimizing(Input { mesh, file_name: wire.simplified_file_name })
     }
+}
+
+fn output_from_wire(wire: Option<v1::Output>) -> Output {
+    let wire = wire.unwrap_or_default();
+    Output { quantize: wire.quantize, compress: wire.compress }
 }
 
 fn optimization_from_wire(wire: &v1::Optimization, faults: &mut Vec<Fault>) -> Optimize {
@@ -264,6 +278,7 @@ mod tests {
                     solver: words.4,
                     normals: n[0] % 2 == 0,
                 },
+                output: Output { quantize: n[1] % 2 == 0, compress: n[2] % 2 == 0 },
                 max_evaluations,
                 max_secs: x[0] / 3.0,
                 seed,
@@ -277,9 +292,9 @@ mod tests {
         let (topology, render) = (spec.topology, spec.render);
         let (optimize, max_evaluations, max_secs) =
             (spec.optimize, spec.max_evaluations, spec.max_secs);
-        let seed = spec.seed;
+        let (seed, output) = (spec.seed, spec.output);
         let base = Spec::optimizing(input);
-        Spec { topology, render, optimize, max_evaluations, max_secs, seed, ..base }
+        Spec { topology, render, optimize, output, max_evaluations, max_secs, seed, ..base }
     }
 
     proptest! {
