@@ -38,7 +38,8 @@ impl Vanished {
             n => format!(" and {n} more"),
         };
         let names = names.join("', '");
-        (*count > 0).then(|| format!("{level}: nothing is left of {count} parts: '{names}'{more}"))
+        let text = || format!("{level}: parts gone: {count} ('{names}'{more})");
+        (*count > 0).then(text)
     }
 }
 
@@ -65,9 +66,9 @@ mod tests {
     #[test]
     fn parts_without_triangles_are_named() {
         check(4, &[0, 1, 2], 0, None);
-        check(4, &[1], 2, Some("lod-0: nothing is left of 2 parts: 'm1', 'm3'"));
+        check(4, &[1], 2, Some("lod-0: parts gone: 2 ('m1', 'm3')"));
         let many: Vec<String> = (1..33).map(|i| format!("'m{i}'")).collect();
-        let note = format!("lod-0: nothing is left of 39 parts: {} and 7 more", many.join(", "));
+        let note = format!("lod-0: parts gone: 39 ({} and 7 more)", many.join(", "));
         check(41, &[39], 39, Some(&note));
     }
 

@@ -73,7 +73,7 @@ fn check_trip(mesh: &Mesh, options: GlbOptions) {
         mesh.positions.iter().copied().reduce(f).unwrap()
     };
     let extent = (bound(glam::DVec3::max) - bound(glam::DVec3::min)).max_element();
-    let step = if options.quantize { 0.5001 * extent / 65_535.0 } else { 0.0 };
+    let step = if options.quantize { 0.5001 / 65_535.0 } else { f64::from(f32::EPSILON) } * extent;
     let mut left: Vec<usize> = (0..again.faces.len()).collect();
     for f in 0..mesh.faces.len() {
         let found = left.iter().position(|g| is_same((mesh, f), (&again, *g), step));
