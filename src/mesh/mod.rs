@@ -11,6 +11,7 @@ mod legality;
 mod lists;
 mod marks;
 mod model;
+mod parts;
 mod refine;
 mod revise;
 pub mod shapes;
@@ -33,5 +34,6 @@ pub use model::{
     AttributeLayer, Corner, Coverage, EdgeId, FaceId, Image, Material, Mesh, Pixels, Semantic,
     Texture, TextureUse, VertexId, WedgeId, Wrap,
 };
+pub use parts::{Node, Part, Tree};
 pub use snapshot::Snapshot;
 pub use step::{MoveCount, Sample, Stage, Step};

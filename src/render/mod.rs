@@ -30,6 +30,6 @@ pub use evaluator::{Evaluator, Reference, RenderError};
 pub use moves::{AddedFace, MAX_MOVE_VERTICES, Move};
 pub use nearest::{NOTHING, Nearest};
 pub use paint::{Alpha, Paint, Painted, Sieve, Texels};
-pub use raster::{energy, picture, reference};
+pub use raster::{energy, picture, reference, reference_and_seen};
 pub use scene::{RenderParams, Scene, SceneFace, Shading, Surface};
 pub use twin::Twin;

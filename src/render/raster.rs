@@ -1,14 +1,17 @@
 //! Full rendering of a scene on the host: reference pictures, and the sorted fragments of the
 //! current model. Slow but simple; the incremental paths are checked against it.
 
-use std::ops::Range;
+use std::{
+    ops::Range,
+    sync::atomic::{AtomicBool, Ordering},
+};
 
 use rayon::prelude::*;
 
 use super::{
     evaluator::Reference,
     lattice::{DEPTH_BITS, PixelRect, Setup},
-    nearest::Nearest,
+    nearest::{NOTHING, Nearest},
     scene::{Scene, SceneFace},
     view::View,
 };
@@ -26,21 +29,34 @@ pub struct Fragment {
 
 /// Renders the nearest surface in every view.
 pub fn reference(scene: &Scene) -> Reference {
-    Reference {
-        pictures: (0..scene.n_views()).into_par_iter().map(|v| picture(scene, v)).collect(),
-    }
+    reference_and_seen(scene).0
+}
+
+/// Likewise; and of each triangle, whether it is the nearest in some pixel of some view.
+pub fn reference_and_seen(scene: &Scene) -> (Reference, Vec<bool>) {
+    let seen: Vec<AtomicBool> = scene.faces.iter().map(|_| AtomicBool::new(false)).collect();
+    let draw = |view: usize| {
+        let nearest = Nearest::of(scene, view);
+        let ids = nearest.ids.iter().filter(|id| **id != NOTHING);
+        ids.for_each(|id| seen[*id as usize].store(true, Ordering::Relaxed));
+        shade(scene, view, &nearest)
+    };
+    let pictures = (0..scene.n_views()).into_par_iter().map(draw).collect();
+    (Reference { pictures }, seen.into_iter().map(AtomicBool::into_inner).collect())
 }
 
 /// The picture of one view: 8-bit luminance, row by row from the top.
 pub fn picture(scene: &Scene, view: usize) -> Vec<u8> {
-    let size = scene.lattice.size;
-    let nearest = Nearest::of(scene, view);
+    shade(scene, view, &Nearest::of(scene, view))
+}
+
+fn shade(scene: &Scene, view: usize, nearest: &Nearest) -> Vec<u8> {
     // Most triangles of a dense model are not seen: shade only those that are.
     let is_seen = nearest.faces_seen(scene.faces.len());
-    let ids = nearest.ids;
+    let ids = &nearest.ids;
     let mut lum = vec![scene.params.background; ids.len()];
     for_each_fragment(scene, view, |id| is_seen[id as usize], &mut |i, j, f| {
-        let at = (j * size + i) as usize;
+        let at = (j * scene.lattice.size + i) as usize;
         if ids[at] == f.face {
             lum[at] = f.lum;
         }
