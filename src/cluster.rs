@@ -5,8 +5,8 @@
 //! 1. the result has no degenerate triangle, no triangle twice, and at most the triangles asked for;
 //! 2. vertices are some of the original's, at their places in single precision's nearest cell.
 //!
-//! Topology is not kept: parts join, holes open. A vertex takes the attributes, and a triangle the
-//! material, of the first triangle of the original at the vertex (at its first vertex).
+//! Topology is not kept: parts join, holes open. A vertex takes the attributes, and a triangle part
+//! and material, of the first triangle of the original at the vertex (at its first vertex).
 
 use std::collections::BTreeSet;
 
@@ -35,11 +35,15 @@ pub fn cluster(original: &Mesh, target: usize) -> Mesh {
     let corner = |v: &u32| corners[*v as usize];
     let of_corners = |face: &[u32; 3]| face.map(|v| wedge(original, corner(&v)));
     let material = |face: &[u32; 3]| original.material_of(FaceId(corner(&face[0]).0));
+    let part = |face: &[u32; 3]| original.part_of(FaceId(corner(&face[0]).0));
     let has_wedges = !original.layers.is_empty();
     let has_materials = !original.face_materials.is_empty();
+    let has_parts = !original.face_parts.is_empty();
     let mesh = Mesh {
         face_wedges: faces.iter().filter(|_| has_wedges).map(of_corners).collect(),
         face_materials: faces.iter().filter(|_| has_materials).map(material).collect(),
+        face_parts: faces.iter().filter(|_| has_parts).map(part).collect(),
+        tree: original.tree.clone(),
         faces,
         positions: original.positions.clone(),
         layers: original.layers.clone(),

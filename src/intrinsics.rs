@@ -34,18 +34,18 @@ pub(crate) fn prefetch<T>(slice: &[T], index: usize) {
 macro_rules! by_processor {
     (
         $(#[$attribute:meta])*
-        $visibility:vis fn $name:ident($($argument:ident: $type:ty),*) -> $out:ty {
+        $visibility:vis fn $name:ident $(<const $N:ident: usize>)? ($($argument:ident: $type:ty),*) -> $out:ty {
             avx2: $avx2:path,
             plain: $plain:path $(,)?
         }
     ) => {
         $(#[$attribute])*
-        $visibility fn $name($($argument: $type),*) -> $out {
+        $visibility fn $name $(<const $N: usize>)? ($($argument: $type),*) -> $out {
             #[cfg(target_arch = "x86_64")]
             if is_x86_feature_detected!("avx2") {
                 // Not `unsafe` itself: it compiles only if `$avx2` needs no more than AVX2.
                 #[target_feature(enable = "avx2")]
-                fn with_avx2($($argument: $type),*) -> $out {
+                fn with_avx2 $(<const $N: usize>)? ($($argument: $type),*) -> $out {
                     $avx2($($argument),*)
                 }
                 #[allow(unsafe_code, reason = "the processor was asked for AVX2 just above")]

@@ -70,9 +70,11 @@ fn read(name: &str, bytes: &[u8]) {
     };
     if let Ok(ingest) = io::read(name, bytes, &limits) {
         // What was read can be written, and read again.
-        let glb = io::write_glb(&ingest.mesh);
-        if let Ok(glb) = glb {
-            let _ = io::read("b.glb", &glb, &limits);
+        let compressed = io::GlbOptions { quantize: true, compress: true };
+        for options in [io::GlbOptions::default(), compressed] {
+            if let Ok(glb) = io::write_glb_with(&ingest.mesh, options) {
+                let _ = io::read("b.glb", &glb, &limits);
+            }
         }
     }
 }

@@ -121,13 +121,13 @@ pub(crate) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
 }
 
 /// Writes a mesh in the format that the extension names: .ply, .obj, else GLB.
-pub(crate) fn write_mesh(path: &Path, mesh: &Mesh) -> Result<(), Failure> {
+pub(crate) fn write_mesh(path: &Path, mesh: &Mesh, options: io::GlbOptions) -> Result<(), Failure> {
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
     let fault = |e: io::IoError| Failure::new(Exit::Failed, e.to_string());
     let bytes = match extension {
         "ply" => io::write_ply(mesh, io::PlyPositions::Double).map_err(fault)?,
         "obj" => io::write_obj(mesh).map_err(fault)?,
-        _ => io::write_glb(mesh).map_err(fault)?,
+        _ => io::write_glb_with(mesh, options).map_err(fault)?,
     };
     write_file(path, &bytes)
 }

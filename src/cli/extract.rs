@@ -11,6 +11,7 @@ use lookalike::{
 use super::{
     compare::write_mesh,
     exit::{Exit, Failure},
+    output_args::OutputArgs,
     show,
     submit::read_input,
 };
@@ -35,6 +36,8 @@ pub(crate) struct ExtractArgs {
     /// Where to write it: .glb, .ply or .obj.
     #[arg(long, value_name = "FILE", default_value = "level.glb")]
     out: PathBuf,
+    #[command(flatten)]
+    output: OutputArgs,
 }
 
 pub(crate) fn run(args: &ExtractArgs) -> Result<(), Failure> {
@@ -54,7 +57,7 @@ pub(crate) fn run(args: &ExtractArgs) -> Result<(), Failure> {
         );
         return Err(Failure::new(Exit::Usage, text));
     };
-    write_mesh(&args.out, &mesh)?;
+    write_mesh(&args.out, &mesh, args.output.glb_options())?;
     let (out, n) = (args.out.display(), mesh.faces.len());
     show::print(&format!("{out}: {n} triangles, {what}\n"));
     Ok(())

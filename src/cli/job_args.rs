@@ -7,7 +7,9 @@ use clap::{
 use lookalike::jobs::spec::{Effort, Fault, Lock, Method, Spec, Topology};
 use serde::de::DeserializeOwned;
 
-use super::{exit::Failure, optimize_args::OptimizeArgs, picture_args::PictureArgs};
+use super::{
+    exit::Failure, optimize_args::OptimizeArgs, output_args::OutputArgs, picture_args::PictureArgs,
+};
 
 /// What to make of a mesh.
 #[derive(Args, Clone, Debug)]
@@ -66,6 +68,8 @@ pub(crate) struct JobArgs {
     lambda: f64,
     #[command(flatten)]
     optimize: OptimizeArgs,
+    #[command(flatten)]
+    output: OutputArgs,
     /// Stop after this many energy evaluations; 0 for no limit.
     #[arg(long, default_value_t = 0, value_name = "N")]
     max_evaluations: u64,
@@ -126,6 +130,7 @@ impl JobArgs {
             hard_edge_degrees: self.locks.hard_edge_degrees,
             render: self.pictures.render(),
             optimize: self.optimize.optimize(),
+            output: self.output.output(),
             max_evaluations: self.max_evaluations,
             max_secs: self.max_secs,
             seed: self.seed,

@@ -13,6 +13,7 @@ mod job_args;
 mod jobs;
 mod optimize;
 mod optimize_args;
+mod output_args;
 mod picture_args;
 mod remote;
 mod run;

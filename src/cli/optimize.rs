@@ -10,6 +10,7 @@ use super::{
     exit::Failure,
     job_args::{LockArgs, checked, word},
     optimize_args::OptimizeArgs,
+    output_args::OutputArgs,
     picture_args::PictureArgs,
     remote::ServerArgs,
     run::{HereArgs, here},
@@ -30,6 +31,8 @@ pub(crate) struct OptimizeCommandArgs {
     here: HereArgs,
     #[command(flatten)]
     optimize: OptimizeArgs,
+    #[command(flatten)]
+    output: OutputArgs,
     #[command(flatten)]
     pictures: PictureArgs,
     /// Keep holes as they are, or let small ones close.
@@ -52,6 +55,7 @@ pub(crate) async fn run(args: OptimizeCommandArgs) -> Result<(), Failure> {
     let input = Input { mesh: String::new(), file_name: file_name(&args.simplified) };
     let spec = checked(Spec {
         optimize: args.optimize.optimize(),
+        output: args.output.output(),
         render: args.pictures.render(),
         topology: args.topology,
         lock: args.locks.lock,

@@ -3,7 +3,10 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use lookalike::compare::{sample_mesh, textured_torus};
+use lookalike::{
+    compare::{sample_mesh, textured_torus},
+    io::GlbOptions,
+};
 
 use super::{compare::write_mesh, exit::Failure, show};
 
@@ -34,7 +37,7 @@ pub(crate) fn run(args: &SampleArgs) -> Result<(), Failure> {
         Model::Jellyfish => sample_mesh(args.seed, args.triangles),
         Model::Torus => textured_torus(),
     };
-    write_mesh(&args.out, &mesh)?;
+    write_mesh(&args.out, &mesh, GlbOptions::default())?;
     show::print(&format!("{}: {} triangles\n", args.out.display(), mesh.faces.len()));
     Ok(())
 }

@@ -7,7 +7,8 @@
 //!
 //! Invariants:
 //! 1. a picture is a function of mesh, view and parameters alone, not of threads;
-//! 2. triangles are drawn as they are, in face order: nothing is merged, repaired or dropped;
+//! 2. triangles are drawn as they are, those that face the viewer first, then in face order: nothing is
+//!    merged, repaired or dropped but what is hidden;
 //! 3. pixel values are floats from 0 to 1, never rounded to 8 bits.
 //!
 //! Knows nothing of differences, sheets or files.
@@ -19,11 +20,11 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    scan::{Band, Paint, Spot, rows_spanned},
-    texture::{Brush, Texture},
+    scan::{Band, Paint, Spot, doubled_area, rows_spanned},
+    texture::{Brush, Sieve, Texture},
 };
 use crate::{
-    mesh::{Material, Mesh, Pixels, Semantic, TextureUse, WedgeId, Wrap},
+    mesh::{Coverage, Material, Mesh, Pixels, Semantic, TextureUse, WedgeId, Wrap},
     metric::image::{luminance, srgb_from_linear},
     render::view::{Projection, View},
 };
@@ -92,7 +93,15 @@ pub struct Drawable<'m, const N: usize> {
     /// Colour of each corner; empty when the surface is white.
     corner_colours: Vec<[[f32; N]; 3]>,
     /// By material; empty when the surface is white.
-    textures: Vec<Option<(TextureUse, Texture<N>)>>,
+    textures: Vec<Option<Skin<N>>>,
+}
+
+/// What a material looks like.
+struct Skin<const N: usize> {
+    at: TextureUse,
+    texture: Texture<N>,
+    /// Where it has holes.
+    sieve: Option<Sieve>,
 }
 
 impl<'m> Drawable<'m, 1> {
@@ -135,8 +144,8 @@ impl<'m, const N: usize> Drawable<'m, N> {
         let textures = match look.appearance {
             Appearance::White => Vec::new(),
             Appearance::Coloured => {
-                let texture = |m: &Material| texture(mesh, m, &encode_texel);
-                mesh.materials.par_iter().map(texture).collect()
+                let skin = |m: &Material| skin(mesh, m, &encode_texel);
+                mesh.materials.par_iter().map(skin).collect()
             }
         };
         let face_normals = area_normals.into_iter().map(DVec3::normalize_or_zero).collect();
@@ -160,13 +169,23 @@ impl<'m, const N: usize> Drawable<'m, N> {
     /// The texture of a triangle that is drawn there.
     fn brush(&self, face: usize, spots: &[Spot; 3]) -> Option<Brush<'_, N>> {
         let material = self.mesh.face_materials.get(face).copied().unwrap_or(0);
-        let (at, texture) = self.textures.get(material as usize)?.as_ref()?;
+        let Skin { at, texture, sieve } = self.textures.get(material as usize)?.as_ref()?;
+        let uv = self.coordinates(face, at).or(texture.is_plain().then_some([[0.0; 2]; 3]))?;
+        Some(texture.on(uv, spots, sieve.as_ref()))
+    }
+
+    fn coordinates(&self, face: usize, at: &TextureUse) -> Option<[[f32; 2]; 3]> {
         let layer = self.mesh.layer(Semantic::TexCoord(at.tex_coord))?;
-        let uv = self.mesh.face_wedges.get(face)?.map(|w| match layer.get(WedgeId(w)) {
+        Some(self.mesh.face_wedges.get(face)?.map(|w| match layer.get(WedgeId(w)) {
             &[u, v, ..] => at.transform.map(|[a, b, c]| a * u + b * v + c),
             _ => [0.0; 2],
-        });
-        Some(texture.on(uv, spots))
+        }))
+    }
+
+    /// Whether no light falls on a triangle; that of a white surface does.
+    fn is_unlit(&self, face: usize) -> bool {
+        let material = self.mesh.face_materials.get(face).copied().unwrap_or(0) as usize;
+        !self.textures.is_empty() && self.mesh.materials.get(material).is_some_and(|m| m.unlit)
     }
 
     fn paints(&self, face: usize, view: &View, look: &Look) -> [Paint<N>; 3] {
@@ -179,6 +198,7 @@ impl<'m, const N: usize> Drawable<'m, N> {
             (look.ambient + (1.0 - look.ambient) * lambert) as f32
         };
         let shades = match self.corner_normals.get(face) {
+            _ if self.is_unlit(face) => [1.0; 3],
             None => [shade((points[0] + points[1] + points[2]) / 3.0, normal); 3],
             Some(normals) => [0, 1, 2].map(|k| shade(points[k], normals[k])),
         };
@@ -212,13 +232,29 @@ fn picture<const N: usize>(drawable: &Drawable<'_, N>, view: &View, look: &Look)
     let bins = Bins::new(&drawable.mesh.faces, &spots, side, rows_of_band);
     let mut pixels = Vec::with_capacity(look.image_size * look.image_size);
     let mut band = Band::new(side);
+    let mut facing_away = Vec::new();
     for (index, faces) in bins.bands().enumerate() {
         let first = index * rows_of_band;
         band.clear(first..(first + rows_of_band).min(side), look.background as f32);
+        let draw = |band: &mut Band<N>, face: u32, corners: &[Spot; 3]| {
+            let brush = drawable.brush(face as usize, corners);
+            band.draw(corners, &drawable.paints(face as usize, view, look), brush.as_ref());
+        };
+        // What faces away comes last: most of it is behind the rest.
+        facing_away.clear();
         for face in faces {
             let corners = drawable.mesh.faces[*face as usize].map(|v| spots[v as usize]);
-            let brush = drawable.brush(*face as usize, &corners);
-            band.draw(&corners, &drawable.paints(*face as usize, view, look), brush.as_ref());
+            if doubled_area(&corners) < 0.0 {
+                draw(&mut band, *face, &corners);
+            } else {
+                facing_away.push((*face, corners));
+            }
+        }
+        band.find_bounds();
+        for (face, corners) in &facing_away {
+            if !band.hides(corners) {
+                draw(&mut band, *face, corners);
+            }
         }
         box_filter(&band, look, &mut pixels);
     }
@@ -317,17 +353,27 @@ fn pixels<'m>(mesh: &'m Mesh, at: &TextureUse) -> Option<(&'m Pixels, [Wrap; 2])
     Some((image.pixels.as_deref()?, texture.wrap))
 }
 
-/// The base colour texture of a material, if it has one that was read, with the factor in it.
-fn texture<const N: usize>(
+/// The base colour texture of a material, if it has one that was read, with the factor in it; a single texel where
+/// there is none, but holes.
+fn skin<const N: usize>(
     mesh: &Mesh,
     material: &Material,
     encode: impl Fn([f32; 3]) -> [f32; N],
-) -> Option<(TextureUse, Texture<N>)> {
-    let at = material.base_texture?;
-    let (pixels, wrap) = pixels(mesh, &at)?;
-    let factor = material.base_color;
-    let lit = |texel: [f32; 3]| encode([0, 1, 2].map(|c| texel[c] * factor[c]));
-    Some((at, Texture::new(pixels, wrap, lit)))
+) -> Option<Skin<N>> {
+    let white = Pixels { width: 1, height: 1, rgba: vec![255; 4] };
+    let everywhere = TextureUse { texture: 0, tex_coord: 0, transform: TextureUse::IDENTITY };
+    let found = material.base_texture.and_then(|at| Some((at, pixels(mesh, &at)?)));
+    let coverage = material.coverage();
+    let (at, (pixels, wrap)) = match found {
+        Some(found) => found,
+        None if coverage == Coverage::Opaque => return None,
+        None => (everywhere, (&white, [Wrap::Repeat; 2])),
+    };
+    let [r, g, b, alpha] = material.base_color;
+    let lit = |texel: [f32; 3]| encode([texel[0] * r, texel[1] * g, texel[2] * b]);
+    let has_sieve = coverage != Coverage::Opaque;
+    let sieve = has_sieve.then(|| Sieve::new(pixels, wrap, alpha, coverage));
+    Some(Skin { at, texture: Texture::new(pixels, wrap, lit), sieve })
 }
 
 /// Linear RGB of every corner: base colour of the material × the first colour set.
@@ -336,8 +382,10 @@ fn linear_colours(mesh: &Mesh) -> impl Iterator<Item = [[f32; 3]; 3]> {
     (0..mesh.faces.len()).map(move |face| {
         let material = mesh.face_materials.get(face).copied().unwrap_or(0) as usize;
         // A texture has the factor in it.
-        let is_textured =
-            |m: &&Material| m.base_texture.is_some_and(|at| pixels(mesh, &at).is_some());
+        let is_textured = |m: &&Material| {
+            m.base_texture.is_some_and(|at| pixels(mesh, &at).is_some())
+                || m.coverage() != Coverage::Opaque
+        };
         let material = mesh.materials.get(material).filter(|m| !is_textured(m));
         let base = material.map_or([1.0; 4], |m| m.base_color);
         [0, 1, 2].map(|k| {
@@ -426,6 +474,29 @@ mod tests {
         let look = Look { appearance: Appearance::Coloured, ..small() };
         assert!(draw(&mesh, &look).iter().all(|p| (p[0] - 0.5 * 0.7152).abs() < 1e-6));
         assert!(draw(&mesh, &small()).iter().all(|p| (p[0] - 1.0).abs() < 1e-6));
+    }
+
+    #[test]
+    fn what_is_transparent_shows_what_lies_behind() {
+        for (source, alpha, expected) in [
+            (r#"{"alphaMode": "MASK", "alphaCutoff": 0.4}"#, 0.3, 0.5),
+            (r#"{"alphaMode": "MASK", "alphaCutoff": 0.4}"#, 0.5, 1.0),
+            (r#"{"alphaMode": "BLEND"}"#, 0.5, 0.75),
+            (r#"{"alphaMode": "BLEND"}"#, 0.0, 0.5),
+            (r#"{"alphaMode": "OPAQUE"}"#, 0.5, 1.0),
+        ] {
+            let mut mesh = wall();
+            let base_color = [1.0, 1.0, 1.0, alpha];
+            let source = serde_json::from_str(source).unwrap();
+            mesh.materials = vec![Material { base_color, source, ..Material::default() }];
+            let look = Look { appearance: Appearance::Coloured, ..small() };
+            let drawn = draw(&mesh, &look);
+            assert!(
+                drawn.iter().all(|p| (p[0] - expected).abs() < 1e-3),
+                "{expected}: {:?}",
+                drawn[0]
+            );
+        }
     }
 
     #[test]

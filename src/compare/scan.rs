@@ -11,6 +11,7 @@
 use std::ops::Range;
 
 use super::texture::Brush;
+use crate::intrinsics::by_processor;
 
 /// A projected corner: `x` to the right and `y` down in samples, `z` growing away from the eye and
 /// affine over the triangle's picture, `inv_w` the reciprocal of the distance along the view axis.
@@ -47,11 +48,16 @@ pub(super) struct Band<const N: usize> {
     pub(super) rows: Range<usize>,
     depth: Vec<f32>,
     pub(super) values: Vec<[f32; N]>,
+    /// The farthest depth in each block of columns, as it was when [`Self::find_bounds`] looked.
+    bounds: Vec<f32>,
 }
+
+/// Columns of a block.
+const BLOCK: usize = 64;
 
 impl<const N: usize> Band<N> {
     pub(super) fn new(side: usize) -> Self {
-        Self { side, rows: 0..0, depth: Vec::new(), values: Vec::new() }
+        Self { side, rows: 0..0, depth: Vec::new(), values: Vec::new(), bounds: Vec::new() }
     }
 
     /// Moves to other rows and fills them with the background.
@@ -62,6 +68,29 @@ impl<const N: usize> Band<N> {
         self.depth.resize(n, f32::INFINITY);
         self.values.clear();
         self.values.resize(n, [background; N]);
+    }
+
+    /// Looks how far what is drawn so far reaches, for [`Self::hides`].
+    pub(super) fn find_bounds(&mut self) {
+        // Column by column first: that takes many at a time.
+        let mut columns = vec![0.0_f32; self.side];
+        for row in self.depth.chunks_exact(self.side) {
+            let columns = columns.iter_mut().zip(row);
+            columns
+                .for_each(|(bound, depth)| *bound = if *bound < *depth { *depth } else { *bound });
+        }
+        let farthest = |block: &[f32]| block.iter().copied().fold(0.0, f32::max);
+        self.bounds.clear();
+        self.bounds.extend(columns.chunks(BLOCK).map(farthest));
+    }
+
+    /// Whether a triangle lies behind everything that was drawn, where it may be seen.
+    pub(super) fn hides(&self, [a, b, c]: &[Spot; 3]) -> bool {
+        let first = first_sample(a.x.min(b.x).min(c.x), self.side);
+        let end = first_sample(a.x.max(b.x).max(c.x), self.side);
+        let nearest = a.z.min(b.z).min(c.z) as f32;
+        let blocks = first / BLOCK..end.div_ceil(BLOCK).max(first / BLOCK);
+        self.bounds[blocks].iter().all(|bound| *bound <= nearest)
     }
 
     /// Draws one triangle whose paint varies as it does on the surface (perspective-correct).
@@ -84,14 +113,7 @@ impl<const N: usize> Band<N> {
         for_each_span(spots, side, self.rows.clone(), |row, columns| {
             let z = depth.along(row, columns.start);
             let at = (row - first) * side + columns.start..(row - first) * side + columns.end;
-            let samples = self.depth[at.clone()].iter_mut().zip(&mut self.values[at]);
-            for (i, (nearest, sample)) in (0_i32..).zip(samples) {
-                // No branches: this loop is where the time goes.
-                let z = z.at(i);
-                let in_front = z < *nearest;
-                *nearest = if in_front { z } else { *nearest };
-                *sample = if in_front { value } else { *sample };
-            }
+            fill(z, value, &mut self.depth[at.clone()], &mut self.values[at]);
         });
     }
 
@@ -120,17 +142,46 @@ impl<const N: usize> Band<N> {
             for (i, (nearest, sample)) in (0_i32..).zip(samples) {
                 let z = z.at(i);
                 if z < *nearest {
-                    *nearest = z;
                     let w = 1.0 / weight.at(i);
                     let mut colour = colour.map(|c| c.at(i) * w);
                     if let (Some(brush), Some(uv)) = (brush, uv) {
-                        let texel = brush.at(uv.map(|c| c.at(i) * w));
+                        let uv = uv.map(|c| c.at(i) * w);
+                        let sample = (columns.start + i as usize, row);
+                        if brush.holes.as_ref().is_some_and(|h| !h.is_there(uv, sample)) {
+                            continue;
+                        }
+                        let texel = brush.at(uv);
                         colour = std::array::from_fn(|c| colour[c] * texel[c]);
                     }
+                    *nearest = z;
                     *sample = Paint { shade: shade.at(i) * w, colour }.lit();
                 }
             }
         });
+    }
+}
+
+by_processor! {
+    /// Draws a run of samples that have the same value.
+    fn fill<const N: usize>(depth: DepthLine, value: [f32; N], nearest: &mut [f32], samples: &mut [[f32; N]]) -> () {
+        avx2: fill_plain,
+        plain: fill_plain,
+    }
+}
+
+#[inline(always)]
+fn fill_plain<const N: usize>(
+    depth: DepthLine,
+    value: [f32; N],
+    nearest: &mut [f32],
+    samples: &mut [[f32; N]],
+) {
+    for (i, (nearest, sample)) in (0_i32..).zip(nearest.iter_mut().zip(samples)) {
+        // No branches: this loop is where the time goes.
+        let z = depth.at(i);
+        let in_front = z < *nearest;
+        *nearest = if in_front { z } else { *nearest };
+        *sample = if in_front { value } else { *sample };
     }
 }
 
@@ -217,7 +268,7 @@ impl DepthLine {
     }
 }
 
-fn doubled_area([a, b, c]: &[Spot; 3]) -> f64 {
+pub(super) fn doubled_area([a, b, c]: &[Spot; 3]) -> f64 {
     (b.x - a.x) * (c.y - a.y) - (c.x - a.x) * (b.y - a.y)
 }
 

@@ -3,15 +3,57 @@
 //! A triangle is drawn from the two levels between which a texel is as wide as a sample at its middle; samples are
 //! many to a pixel, so that what is left to filter, the pixel's box does.
 //!
+//! Where alpha says that a surface is not there, it is not drawn: sample by sample below a threshold, or at as large
+//! a share of a pixel's samples as is transparent.
+//!
 //! Knows nothing of meshes.
 
 use super::scan::Spot;
-use crate::mesh::{Pixels, Wrap};
+use crate::mesh::{Coverage, Pixels, Wrap};
 
 /// A texture and its smaller versions, with `N` channels.
 pub(super) struct Texture<const N: usize> {
     levels: Vec<Level<N>>,
     wrap: [Wrap; 2],
+}
+
+/// Where a textured surface is.
+pub(super) struct Sieve {
+    alpha: Texture<1>,
+    coverage: Coverage,
+}
+
+/// A [`Sieve`] on a triangle.
+pub(super) struct Holes<'t> {
+    alpha: Filtered<'t, 1>,
+    coverage: Coverage,
+}
+
+impl Sieve {
+    /// Of an image and the factor of its alphas.
+    pub(super) fn new(pixels: &Pixels, wrap: [Wrap; 2], factor: f32, coverage: Coverage) -> Self {
+        let channel = |p: &[u8; 4]| [((f32::from(p[3]) * factor).clamp(0.0, 255.0) + 0.5) as u8];
+        Self { alpha: Texture::of_texels(pixels, wrap, channel), coverage }
+    }
+
+    /// On a triangle with these coordinates at its corners.
+    fn on(&self, uv: [[f32; 2]; 3], spots: &[Spot; 3]) -> Holes<'_> {
+        Holes { alpha: self.alpha.filtered(uv, spots), coverage: self.coverage }
+    }
+}
+
+impl Holes<'_> {
+    /// Whether the surface is at some coordinates, which are seen in the sample at (x, y).
+    pub(super) fn is_there(&self, uv: [f32; 2], (x, y): (usize, usize)) -> bool {
+        // Of 4 × 4 samples as many as may be, whatever the share, and far from one another.
+        const RANKS: [[u8; 4]; 4] = [[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]];
+        let [alpha] = self.alpha.at(uv);
+        match self.coverage {
+            Coverage::Opaque => true,
+            Coverage::Mask(least) => alpha >= least,
+            Coverage::Blend => 16.0 * alpha > f32::from(RANKS[y % 4][x % 4]) + 0.5,
+        }
+    }
 }
 
 struct Level<const N: usize> {
@@ -22,9 +64,16 @@ struct Level<const N: usize> {
 
 /// A texture on a triangle.
 pub(super) struct Brush<'t, const N: usize> {
-    texture: &'t Texture<N>,
     /// Coordinates of the corners; the texture covers 0..1, downwards and to the right.
     pub(super) uv: [[f32; 2]; 3],
+    /// Where it has some.
+    pub(super) holes: Option<Holes<'t>>,
+    colour: Filtered<'t, N>,
+}
+
+/// A texture as coarse as a triangle shows it.
+struct Filtered<'t, const N: usize> {
+    texture: &'t Texture<N>,
     /// The finer of two levels, and the share of the coarser.
     level: usize,
     share: f32,
@@ -41,6 +90,10 @@ impl<const N: usize> Texture<N> {
             let colour = encode([p[0], p[1], p[2]].map(|c| f32::from(c) / 255.0));
             colour.map(|c| (c.clamp(0.0, 1.0) * 255.0 + 0.5) as u8)
         };
+        Self::of_texels(pixels, wrap, texel)
+    }
+
+    fn of_texels(pixels: &Pixels, wrap: [Wrap; 2], texel: impl Fn(&[u8; 4]) -> [u8; N]) -> Self {
         let texels = pixels.rgba.as_chunks::<4>().0.iter().map(texel).collect();
         let (width, height) = (pixels.width as usize, pixels.height as usize);
         let mut levels = vec![Level { width, height, texels }];
@@ -50,12 +103,27 @@ impl<const N: usize> Texture<N> {
         Self { levels, wrap }
     }
 
+    /// Whether it is a single texel.
+    pub(super) fn is_plain(&self) -> bool {
+        self.levels.len() == 1
+    }
+
     /// On a triangle with these coordinates at its corners.
-    pub(super) fn on(&self, uv: [[f32; 2]; 3], spots: &[Spot; 3]) -> Brush<'_, N> {
+    pub(super) fn on<'t>(
+        &'t self,
+        uv: [[f32; 2]; 3],
+        spots: &[Spot; 3],
+        sieve: Option<&'t Sieve>,
+    ) -> Brush<'t, N> {
+        let holes = sieve.map(|sieve| sieve.on(uv, spots));
+        Brush { uv, holes, colour: self.filtered(uv, spots) }
+    }
+
+    fn filtered(&self, uv: [[f32; 2]; 3], spots: &[Spot; 3]) -> Filtered<'_, N> {
         let rate = self.texels_per_sample(uv, spots);
         let depth = if rate > 1.0 { libm::log2(rate) } else { 0.0 };
         let depth = depth.min((self.levels.len() - 1) as f64);
-        Brush { texture: self, uv, level: depth as usize, share: depth.fract() as f32 }
+        Filtered { texture: self, level: depth as usize, share: depth.fract() as f32 }
     }
 
     /// Texels of the finest level from a sample in the middle of a triangle to its neighbours, along the
@@ -141,6 +209,12 @@ impl<const N: usize> Level<N> {
 impl<const N: usize> Brush<'_, N> {
     /// The colour at some coordinates.
     pub(super) fn at(&self, uv: [f32; 2]) -> [f32; N] {
+        self.colour.at(uv)
+    }
+}
+
+impl<const N: usize> Filtered<'_, N> {
+    fn at(&self, uv: [f32; 2]) -> [f32; N] {
         if !uv.iter().all(|c| c.is_finite()) {
             return [1.0; N];
         }
@@ -196,7 +270,7 @@ mod tests {
         let spot = |x: f64, y: f64| Spot { x, y, z: 0.5, inv_w: 1.0 };
         let texture = texture([Wrap::Repeat; 2]);
         // The whole width on one sample; a row's height on each.
-        let brush = texture.on(
+        let brush = texture.filtered(
             [[0.0, 0.0], [1.0, 0.0], [0.0, 0.5]],
             &[spot(0.0, 0.0), spot(1.0, 0.0), spot(0.0, 1.0)],
         );

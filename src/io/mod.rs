@@ -19,8 +19,9 @@
 //! element as an object of its own and loops over elements without properties as often as the
 //! header says; `tobj` and `stl_io` report no line, so an error could not name its place, and
 //! `stl_io` takes every file that begins with `solid ` for text. The readers here are small.
-//! `meshopt` decodes compressed
-//! buffer views, after the checks that its assertions would stop the process at. `rawzip` walks archives without allocating, so that what a file states is checked here first.
+//! `meshopt` decodes compressed buffer views, after the checks that its assertions would stop the
+//! process at, and encodes them. `rawzip` walks archives without allocating, so that what a file
+//! states is checked here first.
 //!
 //! Knows nothing of files on disk, networks, pictures or jobs.
 
@@ -48,7 +49,9 @@ mod tests;
 pub use error::IoError;
 pub use limits::Limits;
 pub use report::{BoundingBox, IngestReport, Note};
-pub use write::{PlyPositions, write_glb, write_obj, write_ply};
+pub use write::{
+    GlbLevel, GlbOptions, PlyPositions, write_glb, write_glb_with, write_lods, write_obj, write_ply,
+};
 
 use crate::mesh::{Marks, Mesh};
 use source::Source;

@@ -71,7 +71,7 @@ const LEFT_OUT: [(&[&[u8]], &str, &str); 3] = [
     (
         &[b"d", b"Tr", b"map_d"],
         "alpha_ignored",
-        "opacity (d, Tr, map_d) is left out: pictures show all opaque",
+        "opacity (d, Tr, map_d) is left out: all is opaque",
     ),
     (
         &[b"map_Ka", b"map_Ks", b"map_Ke", b"map_Ns", b"map_Pr", b"map_Pm", b"refl", b"decal"],

@@ -285,6 +285,7 @@ impl<'a> Reader<'a> {
             attributes,
             materials: PatchMaterials::Each(self.face_materials),
             marks: PointMarks::default(),
+            part: 0,
         };
         self.soup.push(self.source, patch)?;
         Ok(self.soup)

@@ -59,6 +59,10 @@ pub struct IngestReport {
     pub materials: u64,
     /// Meshes placed by nodes; 1 for formats without nodes.
     pub instances: u64,
+    /// Nodes of the tree; 0 where there is none, or a single one without a name.
+    pub nodes: u64,
+    /// Parts, of which levels say where they have vanished: the instances that have triangles.
+    pub parts: u64,
     /// What was left out, filled in or read in an unusual way.
     pub notes: Vec<Note>,
 }
@@ -83,6 +87,8 @@ pub(super) fn survey(format: &'static str, welded: &mut Welded) -> IngestReport 
         layers: mesh.layers.iter().map(|l| name_of(l.semantic)).collect(),
         materials: mesh.materials.len() as u64,
         instances: welded.n_instances,
+        nodes: mesh.tree.nodes.len() as u64,
+        parts: mesh.part_sizes().iter().filter(|n| **n > 0).count() as u64,
         notes: std::mem::take(&mut welded.notes).into_vec(),
     }
 }

@@ -9,7 +9,7 @@
 use glam::DVec3;
 
 use super::{IoError, report::Note, source::Source};
-use crate::mesh::{Image, Material, Semantic, Texture};
+use crate::mesh::{Image, Material, Semantic, Texture, Tree};
 
 /// A primitive as placed, or all faces of a file without primitives.
 #[derive(Debug, Default)]
@@ -21,6 +21,8 @@ pub(super) struct Patch {
     pub(super) attributes: Vec<Attribute>,
     pub(super) marks: PointMarks,
     pub(super) materials: PatchMaterials,
+    /// Index into the parts of [`Soup::tree`].
+    pub(super) part: u32,
 }
 
 /// What is said of single points.
@@ -72,6 +74,7 @@ pub(super) struct Soup {
     pub(super) materials: Vec<Material>,
     pub(super) textures: Vec<Texture>,
     pub(super) images: Vec<Image>,
+    pub(super) tree: Tree,
     pub(super) notes: Notes,
     /// Meshes placed by nodes; 1 where the format has no nodes.
     pub(super) n_instances: u64,

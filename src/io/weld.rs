@@ -12,6 +12,8 @@
 //! 5. A vertex is locked if one of its points is, and matters as much as the one that matters most.
 //! 6. Vertices, wedges and triangles keep the order of the file.
 
+use std::sync::Arc;
+
 use glam::{DVec3, Vec3};
 
 use super::{
@@ -20,7 +22,7 @@ use super::{
     soup::{Attribute, Notes, Patch, PatchMaterials, PointMarks, Soup, defaults_of},
     source::Source,
 };
-use crate::mesh::{AttributeLayer, MAX_WEIGHT, Marks, Material, Mesh, Semantic, VertexId};
+use crate::mesh::{AttributeLayer, MAX_WEIGHT, Marks, Material, Mesh, Semantic, Tree, VertexId};
 
 /// The mesh and what the report needs beside it.
 pub(super) struct Welded {
@@ -39,7 +41,7 @@ pub(super) struct Welded {
 /// [`IoError::NoTriangles`] when none is left.
 pub(super) fn weld(source: &Source<'_>, soup: Soup) -> Result<Welded, IoError> {
     let n_points_in_file = soup.n_points();
-    let Soup { mut patches, materials, textures, images, mut notes, n_instances, .. } = soup;
+    let Soup { mut patches, materials, textures, images, tree, mut notes, n_instances, .. } = soup;
     let n_triangles_in_file = patches.iter().map(|p| p.triangles.len() as u64).sum();
     let layers = choose_layers(&patches, &mut notes);
     for patch in &mut patches {
@@ -60,8 +62,9 @@ pub(super) fn weld(source: &Source<'_>, soup: Soup) -> Result<Welded, IoError> {
         }));
     }
     let n_degenerate = joiner.n_degenerate;
+    let tree = Arc::new(if tree.says_nothing() { Tree::default() } else { tree });
     let (mesh, marks) = joiner.into_mesh(materials);
-    let mesh = Mesh { textures, images, ..mesh };
+    let mesh = Mesh { textures, images, tree, ..mesh };
     Ok(Welded {
         mesh,
         marks,
@@ -202,6 +205,7 @@ struct Joiner {
     faces: Vec<[u32; 3]>,
     face_wedges: Vec<[u32; 3]>,
     face_materials: Vec<u32>,
+    face_parts: Vec<u32>,
     n_degenerate: u64,
 }
 
@@ -216,6 +220,7 @@ impl Joiner {
             faces: Vec::new(),
             face_wedges: Vec::new(),
             face_materials: Vec::new(),
+            face_parts: Vec::new(),
             n_degenerate: 0,
         }
     }
@@ -243,6 +248,7 @@ impl Joiner {
             if !wedge_of_point.is_empty() {
                 self.face_wedges.push(t.map(|p| wedge_of_point[p as usize]));
             }
+            self.face_parts.push(patch.part);
             self.face_materials.push(match &patch.materials {
                 PatchMaterials::All(m) => *m,
                 PatchMaterials::Each(list) => list.get(i).copied().unwrap_or(0),
@@ -331,14 +337,17 @@ impl Joiner {
         for v in self.faces.iter_mut().flatten() {
             *v = new_ids[*v as usize];
         }
-        if self.face_materials.iter().all(|m| *m == 0) {
-            self.face_materials.clear();
+        for list in [&mut self.face_materials, &mut self.face_parts] {
+            if list.iter().all(|index| *index == 0) {
+                *list = Vec::new();
+            }
         }
         let mesh = Mesh {
             positions: kept,
             faces: self.faces,
             face_wedges: self.face_wedges,
             face_materials: self.face_materials,
+            face_parts: self.face_parts,
             layers: split_layers(&self.layers, &self.wedges.into_words()),
             materials,
             ..Mesh::default()

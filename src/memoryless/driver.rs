@@ -158,7 +158,7 @@ impl<'a> Run<'a> {
         let mut run = Self {
             mesh,
             params,
-            min_cos: params.max_turn_degrees.to_radians().cos(),
+            min_cos: libm::cos(params.max_turn_degrees.to_radians()),
             edges,
             queue: Queue::new(Vec::new()),
             now: 0,

@@ -52,6 +52,16 @@ pub enum MeshError {
         /// Wedges there are.
         n_wedges: usize,
     },
+    /// A triangle names a part that does not exist.
+    #[error("triangle {face} names part {part} of {n_parts}; repair the tree of parts")]
+    PartOutOfRange {
+        /// Index of the triangle.
+        face: usize,
+        /// The part it names.
+        part: u32,
+        /// Parts there are.
+        n_parts: usize,
+    },
     /// An array is not as long as the array it goes with.
     #[error("{what} has {len} entries where {expected} were expected")]
     WrongLength {

@@ -54,7 +54,7 @@ impl Marks {
             return;
         }
         self.locked.resize(mesh.positions.len(), false);
-        let max_cos = hard_edge_degrees.to_radians().cos();
+        let max_cos = libm::cos(hard_edge_degrees.to_radians());
         for (ends, faces) in edges_of(mesh) {
             let is_there = |feature: &Feature| match feature {
                 Feature::Border => faces.len() != 2,

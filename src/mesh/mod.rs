@@ -11,6 +11,7 @@ mod legality;
 mod lists;
 mod marks;
 mod model;
+mod parts;
 mod refine;
 mod revise;
 pub mod shapes;
@@ -30,8 +31,9 @@ pub use error::{MAX_FACES, MeshError, Violation};
 pub use legality::{Legality, Topology};
 pub use marks::{Feature, MAX_WEIGHT, Marks};
 pub use model::{
-    AttributeLayer, Corner, EdgeId, FaceId, Image, Material, Mesh, Pixels, Semantic, Texture,
-    TextureUse, VertexId, WedgeId, Wrap,
+    AttributeLayer, Corner, Coverage, EdgeId, FaceId, Image, Material, Mesh, Pixels, Semantic,
+    Texture, TextureUse, VertexId, WedgeId, Wrap,
 };
+pub use parts::{Node, Part, Tree};
 pub use snapshot::Snapshot;
 pub use step::{MoveCount, Sample, Stage, Step};

@@ -11,14 +11,19 @@
 //!    is below `n_wedges()`;
 //! 4. every layer holds `n_wedges() * width` values;
 //! 5. `face_materials` is empty (all faces use material 0) or as long as `faces`;
-//! 6. textures of materials and images of textures that are out of range count as absent.
+//! 6. textures of materials and images of textures that are out of range count as absent;
+//! 7. `face_parts` is empty (all faces are of part 0) or as long as `faces`, and every index is
+//!    below `n_parts()`; nodes that are out of range count as nameless, at the top.
 
 use std::sync::Arc;
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use super::error::{MAX_FACES, MeshError};
+use super::{
+    error::{MAX_FACES, MeshError},
+    parts::Tree,
+};
 
 /// Index of a vertex. Ids are stable: an edit never renumbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
@@ -182,6 +187,18 @@ impl TextureUse {
     pub const IDENTITY: [[f32; 3]; 2] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
 }
 
+/// How much of a surface is there.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Coverage {
+    /// All of it, whatever alpha says.
+    #[default]
+    Opaque,
+    /// Where alpha (factor × texture) is at least this.
+    Mask(f32),
+    /// As large a share as alpha says.
+    Blend,
+}
+
 /// Surface appearance of a set of faces.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Material {
@@ -198,6 +215,21 @@ pub struct Material {
     /// The glTF material that this was read from, word for word: what is not modelled here is
     /// written as it was read. Its texture indices are those of [`Mesh::textures`].
     pub source: Option<serde_json::Value>,
+}
+
+impl Material {
+    /// What glTF's `alphaMode` and `alphaCutoff` say.
+    pub fn coverage(&self) -> Coverage {
+        let property = |name: &str| self.source.as_ref()?.get(name);
+        match property("alphaMode").and_then(serde_json::Value::as_str) {
+            Some("MASK") => {
+                let cutoff = property("alphaCutoff").and_then(serde_json::Value::as_f64);
+                Coverage::Mask(cutoff.unwrap_or(0.5) as f32)
+            }
+            Some("BLEND") => Coverage::Blend,
+            _ => Coverage::Opaque,
+        }
+    }
 }
 
 impl Default for Material {
@@ -232,6 +264,10 @@ pub struct Mesh {
     pub textures: Vec<Texture>,
     /// What textures refer to.
     pub images: Vec<Image>,
+    /// Part of each triangle; empty when all are of part 0. A triangle never changes its part.
+    pub face_parts: Vec<u32>,
+    /// Names and places of the parts.
+    pub tree: Arc<Tree>,
 }
 
 impl Mesh {
@@ -250,12 +286,29 @@ impl Mesh {
         self.face_materials.get(face.index()).copied().unwrap_or(0)
     }
 
+    /// Index of a face's part.
+    pub fn part_of(&self, face: FaceId) -> u32 {
+        self.face_parts.get(face.index()).copied().unwrap_or(0)
+    }
+
+    /// Number of parts; 1 without a tree.
+    pub fn n_parts(&self) -> usize {
+        self.tree.parts.len().max(1)
+    }
+
+    /// Triangles of each part.
+    pub fn part_sizes(&self) -> Vec<u32> {
+        let mut sizes = vec![0; self.n_parts()];
+        (0..self.faces.len() as u32).for_each(|f| sizes[self.part_of(FaceId(f)) as usize] += 1);
+        sizes
+    }
+
     /// The layer of the given meaning, if the mesh has it.
     pub fn layer(&self, semantic: Semantic) -> Option<&AttributeLayer> {
         self.layers.iter().find(|l| l.semantic == semantic)
     }
 
-    /// Checks invariants 1 to 5; O(triangles).
+    /// Checks invariants 1 to 5 and 7; O(triangles).
     pub fn check(&self) -> Result<(), MeshError> {
         let (faces, vertices) = (self.faces.len(), self.positions.len());
         if faces > MAX_FACES || vertices > MAX_FACES {
@@ -276,6 +329,14 @@ impl Mesh {
         check_length("the wedge list", self.face_wedges.len(), n_corners)?;
         if !self.face_materials.is_empty() {
             check_length("the material list", self.face_materials.len(), self.faces.len())?;
+        }
+        if !self.face_parts.is_empty() {
+            check_length("the part list", self.face_parts.len(), self.faces.len())?;
+        }
+        let n_parts = self.n_parts();
+        let mut parts = self.face_parts.iter().copied().enumerate();
+        if let Some((face, part)) = parts.find(|(_, part)| *part as usize >= n_parts) {
+            return Err(MeshError::PartOutOfRange { face, part, n_parts });
         }
         for layer in &self.layers {
             check_length("an attribute layer", layer.values.len(), n_wedges * layer.width)?;

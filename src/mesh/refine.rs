@@ -84,6 +84,9 @@ impl EditMesh {
         if !self.mesh.face_materials.is_empty() {
             self.mesh.face_materials.push(self.mesh.material_of(half.face));
         }
+        if !self.mesh.face_parts.is_empty() {
+            self.mesh.face_parts.push(self.mesh.part_of(half.face));
+        }
         self.alive.push(true);
         self.weigh(vertices, true);
         self.n_faces += 1;
@@ -120,13 +123,14 @@ impl EditMesh {
         }
         self.mesh.face_wedges.truncate(self.mesh.faces.len());
         self.mesh.face_materials.truncate(self.mesh.faces.len());
+        self.mesh.face_parts.truncate(self.mesh.faces.len());
         self.alive.pop();
         self.normals.pop();
         self.n_faces -= 1;
     }
 
     /// Replaces the interior edge (a, b) of triangles (a, b, c) and (b, a, d) by the edge (c, d).
-    /// `None` unless the edge has exactly two triangles of opposite direction, one material and
+    /// `None` unless the edge has exactly two triangles of opposite direction, one part and material and
     /// the same wedges on both sides, c and d are different and not yet joined, and a or b is not locked.
     pub fn swap(&mut self, a: VertexId, b: VertexId) -> Option<Swap> {
         let record = self.plan_swap(a, b)?;
@@ -151,7 +155,8 @@ impl EditMesh {
         let d = next(self.vertices_of(right), a);
         let wedge = |f, v| self.wedges_of(f)[corner_of(self.vertices_of(f), v)];
         let is_seam = [a, b].iter().any(|&v| wedge(left, v) != wedge(right, v));
-        let is_border = self.mesh.material_of(left) != self.mesh.material_of(right);
+        let is_border = self.mesh.material_of(left) != self.mesh.material_of(right)
+            || self.mesh.part_of(left) != self.mesh.part_of(right);
         if c == d || is_seam || is_border || !self.edge_faces(c, d).is_empty() {
             return None;
         }

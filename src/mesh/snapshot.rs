@@ -34,6 +34,8 @@ impl Mesh {
         let layers = self.layers.iter().map(|layer| keep_wedges(layer, &wedge_ids)).collect();
         let has_materials = !self.face_materials.is_empty();
         let materials_of = face_ids.iter().filter(|_| has_materials);
+        let parts_of = face_ids.iter().filter(|_| !self.face_parts.is_empty());
+        let face_parts = parts_of.map(|&f| self.part_of(f)).collect();
         let mesh = Mesh {
             positions: vertex_ids.iter().map(|&v| self.positions[v as usize]).collect(),
             faces,
@@ -43,6 +45,8 @@ impl Mesh {
             materials: self.materials.clone(),
             textures: self.textures.clone(),
             images: self.images.clone(),
+            face_parts,
+            tree: self.tree.clone(),
         };
         Snapshot { mesh, face_ids, vertex_ids: vertex_ids.into_iter().map(VertexId).collect() }
     }

@@ -39,6 +39,8 @@ fn with_wedges(mut mesh: Mesh) -> Mesh {
         },
     ];
     mesh.face_materials = (0..mesh.faces.len() as u32).map(|f| f % 2).collect();
+    mesh.face_parts = (0..mesh.faces.len() as u32).map(|f| f % 3).collect();
+    mesh.tree = Tree { nodes: Vec::new(), parts: vec![Part::default(); 3] }.into();
     mesh
 }
 
@@ -147,8 +149,12 @@ fn a_swap_turns_the_diagonal_and_a_seam_forbids_it() {
     assert!(mesh.swap(VertexId(0), VertexId(1)).is_none(), "a boundary edge has no other side");
     mesh.unswap(&record);
     assert_eq!(mesh.snapshot(), square);
-    let mut seamed = EditMesh::new(with_wedges(square)).unwrap();
+    let mut seamed = EditMesh::new(with_wedges(square.clone())).unwrap();
     assert!(seamed.swap(VertexId(0), VertexId(2)).is_none());
+    let tree = Tree { nodes: Vec::new(), parts: vec![Part::default(); 2] }.into();
+    let parted = Mesh { face_parts: vec![0, 1], tree, ..square };
+    let mut parted = EditMesh::new(parted).unwrap();
+    assert!(parted.swap(VertexId(0), VertexId(2)).is_none(), "the triangles are of two parts");
 }
 
 #[test]

@@ -8,7 +8,7 @@
 use std::sync::Arc;
 
 use crate::{
-    mesh::{AttributeLayer, Collapse, EditMesh, FaceId, Material, Mesh, Semantic},
+    mesh::{AttributeLayer, Collapse, Coverage, EditMesh, FaceId, Material, Mesh, Semantic},
     render::{Paint, Surface},
 };
 
@@ -63,20 +63,24 @@ impl Appearance {
 
     /// The surface of a triangle.
     pub fn of_face(&self, mesh: &Mesh, face: FaceId) -> Surface {
+        let material = mesh.materials.get(mesh.material_of(face) as usize);
+        let is_unlit = material.is_some_and(|m| m.unlit);
         let Some(wedges) = mesh.face_wedges.get(face.index()) else {
-            return Surface { albedo: [self.byte(1.0, mesh, face); 3], paint: None };
+            let plain = self.painting(mesh, face).filter(|(_, at)| at.is_none());
+            let paint = plain.map(|(painting, _)| Paint { map: painting.map, uv: [[0.0; 2]; 3] });
+            return Surface { albedo: [self.byte(1.0, mesh, face); 3], paint, is_unlit };
         };
         let colour = |w: u32| self.wedges.get(w as usize).copied().unwrap_or(1.0);
         let albedo = wedges.map(|w| self.byte(colour(w), mesh, face));
         let paint = self.painting(mesh, face).map(|(painting, at)| {
-            let layer = &mesh.layers[at];
             let place = |w: u32| {
+                let Some(layer) = at.map(|at| &mesh.layers[at]) else { return [0.0; 2] };
                 let start = w as usize * layer.width;
                 painting.place(layer.values.get(start..start + layer.width).unwrap_or_default())
             };
             Paint { map: painting.map, uv: wedges.map(place) }
         });
-        Surface { albedo, paint }
+        Surface { albedo, paint, is_unlit }
     }
 
     /// The surface of a surviving triangle after a planned collapse.
@@ -105,18 +109,19 @@ impl Appearance {
             }
         }
         let painting = self.painting(mesh.mesh(), face);
-        if let (Some((painting, at)), Some(paint)) = (painting, &mut surface.paint)
+        if let (Some((painting, Some(at))), Some(paint)) = (painting, &mut surface.paint)
             && let Some(uv) = new_wedge_value(layers, values, (nth, at))
         {
             paint.uv[k] = painting.place(uv);
         }
     }
 
-    /// What a triangle is painted with, and the layer of the coordinates.
-    fn painting(&self, mesh: &Mesh, face: FaceId) -> Option<(&Painting, usize)> {
+    /// What a triangle is painted with, and the layer of the coordinates where it needs some.
+    fn painting(&self, mesh: &Mesh, face: FaceId) -> Option<(&Painting, Option<usize>)> {
         let painting = self.palette.painting(mesh.material_of(face))?;
-        let semantic = Semantic::TexCoord(painting.tex_coord);
-        Some((painting, mesh.layers.iter().position(|l| l.semantic == semantic)?))
+        let Some(set) = painting.tex_coord else { return Some((painting, None)) };
+        let semantic = Semantic::TexCoord(set);
+        Some((painting, Some(mesh.layers.iter().position(|l| l.semantic == semantic)?)))
     }
 
     fn byte(&self, vertex_luminance: f32, mesh: &Mesh, face: FaceId) -> u8 {
@@ -126,10 +131,16 @@ impl Appearance {
     }
 }
 
-/// Whether a mesh is drawn white: it has one colour, no vertex colours and no texture.
+/// Whether a mesh is drawn white: it has one colour, no vertex colours and no texture, lets nothing
+/// through, and is lit.
 pub fn is_white(mesh: &Mesh) -> bool {
     let first = mesh.materials.first().map(|m| m.base_color);
-    let is_plain = |m: &Material| Some(m.base_color) == first && m.base_texture.is_none();
+    let is_plain = |m: &Material| {
+        Some(m.base_color) == first
+            && m.base_texture.is_none()
+            && m.coverage() == Coverage::Opaque
+            && !m.unlit
+    };
     mesh.materials.iter().all(is_plain) && mesh.layer(Semantic::Color(0)).is_none()
 }
 

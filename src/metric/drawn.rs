@@ -8,15 +8,11 @@
 use glam::{DVec2, DVec3};
 
 use crate::render::{
-    Painted, Scene, SceneFace, Shading, for_each_run, for_each_setup,
-    lattice::{DEPTH_BITS, Setup},
+    NOTHING, Nearest, Painted, Scene, SceneFace, Shading,
     view::{Projection, View},
 };
 
 use super::slopes::{Drag, Slopes};
-
-/// No triangle: the background.
-const NOTHING: u32 = u32::MAX;
 
 /// See the module.
 pub struct Drawn<'s> {
@@ -70,31 +66,28 @@ impl<'s> Drawn<'s> {
         let size = scene.lattice.size as usize;
         let points: Vec<DVec2> =
             (0..scene.n_vertex_slots() as u32).map(|v| on_picture(scene, view, v)).collect();
+        let nearest = Nearest::of(scene, view);
+        let is_seen = nearest.faces_seen(scene.faces.len());
+        let Nearest { ids, depths, .. } = nearest;
         let mut this = Self {
             scene,
             view,
             size,
-            ids: vec![NOTHING; size * size],
-            depths: vec![i32::MAX; size * size],
+            ids,
+            depths,
             shades: vec![Shade::default(); scene.faces.len()],
             sides: vec![<[Side; 3]>::default(); scene.faces.len()],
             paints: vec![None; if scene.texels.is_empty() { 0 } else { scene.faces.len() }],
             texels: Vec::new(),
         };
-        for_each_setup(
-            scene,
-            view,
-            |_| true,
-            |id, face, s| {
-                if draw(&mut this.depths, &mut this.ids, size, id, s) {
-                    this.shades[id as usize] = Shade::of(scene, view, face, &points);
-                    this.sides[id as usize] = Side::all(face, &points);
-                    if let Some(paint) = this.paints.get_mut(id as usize) {
-                        *paint = scene.painted(view, face);
-                    }
-                }
-            },
-        );
+        for (id, face) in scene.faces.iter().enumerate() {
+            let Some(face) = face.as_ref().filter(|_| is_seen[id]) else { continue };
+            this.shades[id] = Shade::of(scene, view, face, &points);
+            this.sides[id] = Side::all(face, &points);
+            if let Some(paint) = this.paints.get_mut(id) {
+                *paint = scene.painted(view, face);
+            }
+        }
         if !this.paints.is_empty() {
             let seen =
                 |p| this.paint(this.ids[p]).map_or(1.0, |paint| this.look_up(paint, p) as f32);
@@ -290,24 +283,6 @@ impl<'s> Drawn<'s> {
     }
 }
 
-/// Draws a triangle into pictures of depths and ids, those of lower ids drawn. Whether it is seen so far.
-fn draw(depths: &mut [i32], ids: &mut [u32], size: usize, id: u32, s: &Setup) -> bool {
-    let mut is_seen = false;
-    for_each_run(s, |columns, j| {
-        let start = j as usize * size;
-        let run = start + columns.start as usize..start + columns.end as usize;
-        let pixels = depths[run.clone()].iter_mut().zip(&mut ids[run]);
-        for (i, (depth, seen)) in columns.zip(pixels) {
-            let z = s.depth.at(i, j, DEPTH_BITS);
-            let is_nearer = z < *depth;
-            is_seen |= is_nearer;
-            *depth = if is_nearer { z } else { *depth };
-            *seen = if is_nearer { id } else { *seen };
-        }
-    });
-    is_seen
-}
-
 /// Adds what changes inside a triangle with interpolated luminance.
 fn smooth_inside(
     face: &SceneFace,
@@ -442,6 +417,9 @@ impl Shade {
         let centroid = (p[0] + p[1] + p[2]) / 3.0;
         let side = if v.sees_front(centroid, normal) { 1.0 } else { -1.0 };
         let cosine = side * normal.dot(v.to_light);
+        if face.surface.is_unlit {
+            return Self { corners: [albedo; 3], ..Self::default() };
+        }
         let diffuse = albedo * (1.0 - ambient);
         let corners = [albedo * ambient + diffuse * cosine.max(0.0); 3];
         if cosine <= 0.0 || length == 0.0 {
@@ -464,6 +442,10 @@ impl Shade {
         let mut this = Self::default();
         for (k, place) in p.into_iter().enumerate() {
             let albedo = f64::from(face.surface.albedo[k]);
+            if face.surface.is_unlit {
+                this.corners[k] = albedo;
+                continue;
+            }
             let side = if v.sees_front(place, normal) { 1.0 } else { -1.0 };
             let cosine = side * scene.normal(face.vertices[k]).dot(v.to_light);
             this.corners[k] = albedo * (ambient + (1.0 - ambient) * cosine.max(0.0));

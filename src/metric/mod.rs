@@ -19,8 +19,9 @@ mod template_tests;
 
 pub use appearance::is_white;
 pub use objective::{
-    Objective, Pictures, ViewSet, bounding_sphere, d2_percent, energy_of_d2, reference_pictures,
-    scene_as_drawn, scene_of_edit_mesh, scene_with_normals, stored_normal, with_vertex_normals,
+    Objective, Pictures, ViewSet, bounding_sphere, d2_percent, energy_of_d2, pictures_and_unseen,
+    reference_pictures, scene_as_drawn, scene_of_edit_mesh, scene_with_normals, stored_normal,
+    with_vertex_normals,
 };
 pub use palette::Palette;
 pub use slopes::{Slope, Slopes, slopes};

@@ -13,7 +13,7 @@ use crate::{
     mesh::{AttributeLayer, Collapse, EditMesh, FaceId, Mesh, Semantic, VertexId},
     render::{
         AddedFace, Evaluator, MAX_MOVE_VERTICES, Move, Reference, RenderError, RenderParams, Scene,
-        SceneFace, Shading, reference,
+        SceneFace, Shading, reference_and_seen,
         view::{BoundingSphere, View},
     },
 };
@@ -48,13 +48,16 @@ pub struct ViewSet {
     pub pictures: Pictures,
     /// The original.
     pub reference: Reference,
+    /// Triangles of the original that are in front in no pixel.
+    pub n_unseen: usize,
 }
 
 impl ViewSet {
     /// The original in other views: those of `pictures`, turned (see [`Pictures::turned`]).
     pub fn turned(original: &Mesh, pictures: &Pictures, center: DVec3, turn: u64) -> Self {
         let pictures = pictures.turned(center, turn);
-        Self { reference: reference_pictures(original, &pictures), pictures }
+        let (reference, n_unseen) = pictures_and_unseen(original, &pictures);
+        Self { pictures, reference, n_unseen }
     }
 }
 
@@ -98,7 +101,13 @@ fn nth_rotation(n: u64) -> DQuat {
 
 /// Renders the original: once per job.
 pub fn reference_pictures(original: &Mesh, pictures: &Pictures) -> Reference {
-    reference(&scene_of(original, pictures, |_| true))
+    pictures_and_unseen(original, pictures).0
+}
+
+/// Likewise; and how many triangles are in front in no pixel.
+pub fn pictures_and_unseen(mesh: &Mesh, pictures: &Pictures) -> (Reference, usize) {
+    let (reference, seen) = reference_and_seen(&scene_of(mesh, pictures, |_| true));
+    (reference, seen.iter().filter(|is_seen| !**is_seen).count())
 }
 
 /// The bounding sphere of the vertices that some triangle uses.

@@ -1,15 +1,16 @@
 //! The textures of a model as the pictures need them: luminances, no finer than pictures show.
 //!
 //! Colours are taken as they are encoded, without a transfer curve, as `image.rs` takes all others: base colour
-//! texture times factor. Alpha is not looked at.
+//! texture times factor. Where a material is masked, alpha below its threshold leaves holes; where it is blended, as
+//! large a share of the pixels, evenly spread: what lies behind shows through without an order.
 
 use std::sync::Arc;
 
 use rayon::prelude::*;
 
 use crate::{
-    mesh::{Image, Material, Mesh, Pixels, TextureUse, Wrap},
-    render::Texels,
+    mesh::{Coverage, Image, Material, Mesh, Pixels, TextureUse, Wrap},
+    render::{Alpha, Sieve, Texels},
 };
 
 use super::image::REC709;
@@ -31,8 +32,8 @@ pub struct Palette {
 pub(super) struct Painting {
     /// Number of the texture among the texels.
     pub map: u32,
-    /// Set of texture coordinates.
-    pub tex_coord: u32,
+    /// Set of texture coordinates; `None` where it is the same everywhere.
+    pub tex_coord: Option<u32>,
     /// From coordinates to places on the texture.
     transform: [[f32; 3]; 2],
 }
@@ -48,24 +49,20 @@ impl Painting {
 /// What a texture is made of: materials that agree in it share one.
 #[derive(Clone, Copy, PartialEq)]
 struct Recipe<'m> {
-    image: &'m Image,
+    /// `None` for a single texel.
+    image: Option<&'m Image>,
     wrap: [Wrap; 2],
-    factor: [f32; 3],
+    factor: [f32; 4],
+    sieve: Option<Sieve>,
 }
 
 impl Palette {
     /// Of a mesh that is shown in pictures of so many pixels a side.
     pub fn of(mesh: &Mesh, image_size: u32) -> Self {
         let mut recipes: Vec<Recipe<'_>> = Vec::new();
-        let recipe_of = |m: &Material| {
-            let texture = mesh.textures.get(m.base_texture?.texture as usize)?;
-            let image = mesh.images.get(texture.image? as usize)?;
-            image.pixels.as_ref()?;
-            let [r, g, b, _] = m.base_color;
-            Some(Recipe { image, wrap: texture.wrap, factor: [r, g, b] })
-        };
         let mut paint = |m: &Material| {
-            let (recipe, at) = (recipe_of(m)?, m.base_texture?);
+            let recipe = Recipe::of(mesh, m)?;
+            let at = m.base_texture.filter(|_| recipe.image.is_some());
             let known = recipes.iter().position(|r| *r == recipe);
             let map = known.unwrap_or(recipes.len());
             if known.is_none() {
@@ -73,17 +70,16 @@ impl Palette {
             }
             Some(Painting {
                 map: map as u32,
-                tex_coord: at.tex_coord,
-                transform: scaled(&at, recipe.wrap),
+                tex_coord: at.map(|at| at.tex_coord),
+                transform: at.map_or(TextureUse::IDENTITY, |at| scaled(&at, recipe.wrap)),
             })
         };
         let paintings = mesh.materials.iter().map(&mut paint).collect();
         let most = TEXELS_PER_PIXEL * image_size.next_power_of_two();
-        let draw = |r: &Recipe<'_>| r.image.pixels.as_ref().map(|p| r.luminances(p, most));
-        let drawn: Vec<_> = recipes.par_iter().map(draw).collect();
+        let drawn: Vec<_> = recipes.par_iter().map(|r| r.drawn(most)).collect();
         let mut texels = Texels::default();
-        for (recipe, (bits, luminances)) in recipes.iter().zip(drawn.into_iter().flatten()) {
-            texels.add(bits, luminances, recipe.wrap.map(|w| w == Wrap::Clamp));
+        for (recipe, (bits, luminances, alpha)) in recipes.iter().zip(drawn) {
+            texels.add(bits, luminances, recipe.wrap.map(|w| w == Wrap::Clamp), alpha);
         }
         Self { texels: Arc::new(texels), paintings }
     }
@@ -110,13 +106,58 @@ fn scaled(at: &TextureUse, wrap: [Wrap; 2]) -> [[f32; 3]; 2] {
     [0, 1].map(|axis| at.transform[axis].map(|x| x * half(axis)))
 }
 
-impl Recipe<'_> {
-    /// Luminances, on sides that are powers of two and at most `most`, and the logarithms of these.
-    fn luminances(&self, pixels: &Pixels, most: u32) -> ([u32; 2], Vec<u8>) {
-        let (width, height) = (pixels.width as usize, pixels.height as usize);
-        let weights: [f32; 3] = std::array::from_fn(|c| REC709[c] as f32 * self.factor[c]);
-        let luminance = |p: &[u8; 4]| (0..3).map(|c| weights[c] * f32::from(p[c])).sum();
-        let level: Vec<f32> = pixels.rgba.as_chunks::<4>().0.iter().map(luminance).collect();
+/// What takes the place of an image that is not there.
+const WHITE: [u8; 4] = [255; 4];
+
+impl<'m> Recipe<'m> {
+    /// Of a material that needs one: it has a texture that was read, or lets something through.
+    fn of(mesh: &'m Mesh, m: &Material) -> Option<Self> {
+        let texture = m.base_texture.and_then(|at| mesh.textures.get(at.texture as usize));
+        let image = texture.and_then(|t| mesh.images.get(t.image? as usize));
+        let image = image.filter(|image| image.pixels.is_some());
+        let sieve = match m.coverage() {
+            Coverage::Opaque => None,
+            Coverage::Mask(least) => {
+                Some(Sieve::Below((least.clamp(0.0, 1.0) * 255.0).ceil() as u8))
+            }
+            Coverage::Blend => Some(Sieve::Dithered),
+        };
+        let wrap = texture.filter(|_| image.is_some()).map_or([Wrap::Repeat; 2], |t| t.wrap);
+        let this = Self { image, wrap, factor: m.base_color, sieve };
+        // What is opaque everywhere needs no second look at each pixel.
+        let sieve = sieve.filter(|sieve| this.is_pierced(*sieve));
+        (image.is_some() || sieve.is_some()).then_some(Self { sieve, ..this })
+    }
+
+    fn pixels(&self) -> Option<&'m Pixels> {
+        self.image?.pixels.as_deref()
+    }
+
+    fn is_pierced(&self, sieve: Sieve) -> bool {
+        let least = if let Sieve::Below(least) = sieve { least } else { 255 };
+        let alpha = |p: &[u8; 4]| to_byte(f32::from(p[3]) * self.factor[3]);
+        let texels = self.pixels().map_or(std::slice::from_ref(&WHITE), |p| p.rgba.as_chunks().0);
+        texels.iter().any(|p| alpha(p) < least)
+    }
+
+    /// Luminances and alphas, on sides that are powers of two and at most `most`, and the logarithms of these.
+    fn drawn(&self, most: u32) -> ([u32; 2], Vec<u8>, Option<Alpha>) {
+        let [r, g, b] = std::array::from_fn(|c| REC709[c] as f32 * self.factor[c]);
+        let (bits, luminances) = self.channel([r, g, b, 0.0], most);
+        let alpha = self.sieve.map(|sieve| {
+            let (_, values) = self.channel([0.0, 0.0, 0.0, self.factor[3]], most);
+            Alpha { values, sieve }
+        });
+        (bits, luminances, alpha)
+    }
+
+    /// A weighted sum of the image's channels.
+    fn channel(&self, weights: [f32; 4], most: u32) -> ([u32; 2], Vec<u8>) {
+        let (width, height) =
+            self.pixels().map_or((1, 1), |p| (p.width as usize, p.height as usize));
+        let sum = |p: &[u8; 4]| (0..4).map(|c| weights[c] * f32::from(p[c])).sum();
+        let texels = self.pixels().map_or(std::slice::from_ref(&WHITE), |p| p.rgba.as_chunks().0);
+        let level: Vec<f32> = texels.iter().map(sum).collect();
         let side = |n: usize| n.next_power_of_two().min(most as usize);
         let across = resized(&level, (width, height), side(width));
         let down = resized(&transposed(&across, side(width)), (height, side(width)), side(height));
@@ -131,8 +172,12 @@ impl Recipe<'_> {
             level.extend(below);
             bits[1] += 1;
         }
-        (bits, level.iter().map(|l| (l.clamp(0.0, 255.0) + 0.5) as u8).collect())
+        (bits, level.into_iter().map(to_byte).collect())
     }
+}
+
+fn to_byte(value: f32) -> u8 {
+    (value.clamp(0.0, 255.0) + 0.5) as u8
 }
 
 /// Rows of another length: each value is the mean over its part of the row.
@@ -162,4 +207,103 @@ fn transposed(values: &[f32], width: usize) -> Vec<f32> {
 fn mirrored(values: &[f32], width: usize) -> Vec<f32> {
     let rows = values.chunks_exact(width);
     rows.flat_map(|row| row.iter().chain(row.iter().rev())).copied().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use glam::DVec3;
+    use serde_json::{Value, json};
+
+    use crate::{
+        mesh::{Image, Material, Mesh, Pixels, Texture, TextureUse},
+        metric::{Pictures, bounding_sphere, is_white, reference_pictures},
+        render::{
+            RenderParams, Shading,
+            view::{Projection, ViewParams, cameras},
+        },
+    };
+
+    /// A square that faces the viewer, of one material.
+    fn wall(source: Value, alpha: f32) -> Mesh {
+        let corner = |x: f64, y: f64| DVec3::new(x, y, 0.0);
+        let mut mesh = Mesh::from_parts(
+            vec![corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0)],
+            vec![[0, 1, 2], [0, 2, 3]],
+        );
+        let base_color = [1.0, 1.0, 1.0, alpha];
+        mesh.materials = vec![Material { base_color, source: Some(source), ..Material::default() }];
+        mesh
+    }
+
+    /// The share of the wall's pixels that it covers; the background is black.
+    fn share_seen(mesh: &Mesh) -> f64 {
+        let params = RenderParams {
+            image_size: 128,
+            shading: Shading::Flat,
+            ambient: 0.1,
+            background: 0,
+            interior_views: 0,
+        };
+        let view_params = ViewParams {
+            directions: vec![DVec3::Z],
+            fov_degrees: 60.0,
+            projection: Projection::Orthographic,
+            light_degrees: 0.0,
+        };
+        let views = cameras(&bounding_sphere(mesh), &view_params);
+        let seen = |mesh: &Mesh| {
+            let pictures = Pictures::of(mesh, params.clone(), views.clone());
+            let picture = reference_pictures(mesh, &pictures).pictures.remove(0);
+            picture.into_iter().filter(|lum| *lum > 0).count() as f64
+        };
+        seen(mesh) / seen(&wall(Value::Null, 1.0))
+    }
+
+    #[test]
+    fn alpha_says_how_much_of_a_surface_is_there() {
+        let (mask, blend) =
+            (json!({ "alphaMode": "MASK", "alphaCutoff": 0.4 }), json!({ "alphaMode": "BLEND" }));
+        for (source, alpha, expected) in [
+            (json!({ "alphaMode": "OPAQUE" }), 0.0, 1.0),
+            (mask.clone(), 0.41, 1.0),
+            (mask, 0.39, 0.0),
+            (json!({ "alphaMode": "MASK" }), 0.49, 0.0),
+            (blend.clone(), 0.25, 0.25),
+            (blend.clone(), 0.0, 0.0),
+            (blend, 1.0, 1.0),
+        ] {
+            let found = share_seen(&wall(source.clone(), alpha));
+            assert!((found - expected).abs() < 0.01, "{source} {alpha}: {found}");
+        }
+        assert!(is_white(&wall(Value::Null, 0.5)));
+        assert!(!is_white(&wall(json!({ "alphaMode": "BLEND" }), 0.5)));
+    }
+
+    /// Seen from so far that several texels fall into a pixel, a fence of thin bars covers as much as from near by.
+    #[test]
+    fn masks_keep_their_share_at_coarse_levels() {
+        let side = 2048;
+        let bar = |x: u32, y: u32| u8::from((x / 3 + y / 5).is_multiple_of(4)) * 255;
+        let texel = |k: u32| [255, 255, 255, bar(k % side, k / side)];
+        let rgba = (0..side * side).flat_map(texel).collect();
+        let mut mesh = wall(json!({ "alphaMode": "MASK" }), 1.0);
+        mesh.images = vec![Image {
+            pixels: Some(Arc::new(Pixels { width: side, height: side, rgba })),
+            ..Image::default()
+        }];
+        mesh.textures = vec![Texture { image: Some(0), ..Texture::default() }];
+        let transform = [[0.5, 0.0, 0.5], [0.0, 0.5, 0.5]];
+        mesh.materials[0].base_texture = Some(TextureUse { texture: 0, tex_coord: 0, transform });
+        mesh.face_wedges = mesh.faces.clone();
+        let values = mesh.positions.iter().flat_map(|p| [p.x as f32, p.y as f32]).collect();
+        mesh.layers = vec![crate::mesh::AttributeLayer {
+            semantic: crate::mesh::Semantic::TexCoord(0),
+            width: 2,
+            values,
+        }];
+        let found = share_seen(&mesh);
+        assert!((found - 0.25).abs() < 0.04, "{found}");
+    }
 }

@@ -6,14 +6,16 @@
 //! u32       length of the header
 //! header    JSON, UTF-8: the struct Header
 //! u32       CRC-32 of all bytes before
-//! body      images; sections: the coarsest mesh, blocks of records from coarse to fine, blocks of
+//! body      images; sections: the parts, the coarsest mesh, blocks of records from coarse to fine, blocks of
 //!           edits level by level
 //! ```
 //!
 //! Integers are little endian. JSON, so that any program can list levels; the tables of blocks
 //! say which parts of the body a level needs. Version 1 had no edits of levels, only a flag
-//! `by_records_alone`. Textures, images and what materials say of them came within version 2: the
+//! `by_records_alone`. Textures, images and what materials say of them came within version 2, and so did parts: the
 //! fields are optional, and a reader that does not know them finds the levels without.
+
+use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -61,6 +63,9 @@ pub struct Header {
     /// The bytes of images.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(super) blobs: Vec<Blob>,
+    /// Parts of triangles and their tree.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) parts: Option<Section>,
     /// Levels with names, fine to coarse.
     pub levels: Vec<Level>,
     /// Collapses.
@@ -262,7 +267,7 @@ impl Header {
         check_limit("attribute values", n_values, limits.max_attribute_values)?;
         let edits = || self.levels.iter().filter_map(|level| level.edits.as_ref());
         let blocks = self.blocks.iter().chain(edits().flat_map(|edits| &edits.blocks));
-        for section in blocks.clone().map(|b| &b.section).chain([&self.base]) {
+        for section in blocks.clone().map(|b| &b.section).chain([&self.base]).chain(&self.parts) {
             check_limit("bytes of a section", section.n_raw(), limits.max_section_bytes)?;
         }
         for edits in edits() {
@@ -312,6 +317,8 @@ impl Header {
             materials: self.materials.iter().map(MaterialEntry::material).collect(),
             textures: self.textures.clone(),
             images: Vec::new(),
+            face_parts: Vec::new(),
+            tree: Arc::default(),
             n_alive_faces: 0,
             n_alive_vertices: 0,
             n_edits: 0,

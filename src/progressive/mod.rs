@@ -26,8 +26,8 @@
 //!    that [`ReadLimits`] or the bytes that are there do not bear out;
 //! 4. the same mesh and records give the same bytes.
 //!
-//! Materials, textures and images are the same at every level (`images`); decoded images are not
-//! stored.
+//! Materials, textures, images (`images`) and the tree of parts (`parts`) are the same at every
+//! level; decoded images are not stored.
 //!
 //! Based on progressive meshes (Hoppe, "Progressive Meshes", 1996, and the record of `PMesh.h` in
 //! his Mesh-processing-library); differs in keeping the ids of the original mesh and full
@@ -45,6 +45,7 @@ mod images;
 mod linked;
 mod linked_edits;
 mod log;
+mod parts;
 mod reader;
 mod reader_edits;
 mod record;

@@ -10,6 +10,7 @@ use super::{
     images::take_images,
     linked,
     log::RecordLog,
+    parts::take_parts,
     replay::Replay,
     section::{Reading, Streams},
 };
@@ -136,9 +137,11 @@ impl<'a> Reader<'a> {
     /// # Errors
     /// When the coarsest mesh cannot be read.
     pub fn coarse_to_fine(&self) -> Result<CoarseToFine<'_>, ProgressiveError> {
-        let Header { images, blobs, .. } = &self.header;
+        let Header { images, blobs, parts, n_faces, .. } = &self.header;
         let mut replay = self.header.blank_replay();
         replay.images = take_images(images, blobs, self.body)?;
+        (replay.tree, replay.face_parts) =
+            take_parts(parts.as_ref(), self.body, *n_faces as usize)?;
         let is_known = self.read_base(&mut replay)?;
         Ok(CoarseToFine {
             reader: self,

@@ -9,6 +9,8 @@
 //!
 //! Collapses are here, other edits in `replay_edits`.
 
+use std::sync::Arc;
+
 use glam::DVec3;
 
 use super::{
@@ -18,7 +20,7 @@ use super::{
 };
 use crate::mesh::{
     AttributeLayer, Collapse, Image, Material, Mesh, RemovedFace, Rewedged, Semantic, Texture,
-    VertexId, WedgeId,
+    Tree, VertexId, WedgeId,
 };
 
 /// A mesh at some level between the original and the coarsest.
@@ -43,6 +45,9 @@ pub struct Replay {
     pub(super) materials: Vec<Material>,
     pub(super) textures: Vec<Texture>,
     pub(super) images: Vec<Image>,
+    /// Empty when all faces are of part 0.
+    pub(super) face_parts: Vec<u32>,
+    pub(super) tree: Arc<Tree>,
     pub(super) n_alive_faces: u32,
     pub(super) n_alive_vertices: u32,
     /// Edits other than collapses that are applied.
@@ -95,6 +100,8 @@ impl Replay {
             materials: mesh.materials.clone(),
             textures: mesh.textures.clone(),
             images: mesh.images.clone(),
+            face_parts: mesh.face_parts.clone(),
+            tree: mesh.tree.clone(),
             n_alive_faces: n_faces as u32,
             n_alive_vertices: n_vertices as u32,
             n_edits: 0,
@@ -174,7 +181,9 @@ impl Replay {
             alive().filter_map(|f| self.face_wedges.get(f).copied()).collect();
         let wedges = compact(&mut face_wedges, self.wedge_values.len() / self.width().max(1));
         let mut mesh = self.mesh_of(&positions, faces, face_wedges, Some(&wedges));
-        mesh.face_materials = alive().filter_map(|f| self.face_materials.get(f).copied()).collect();
+        let of_alive = |list: &[u32]| alive().filter_map(|f| list.get(f).copied()).collect();
+        mesh.face_materials = of_alive(&self.face_materials);
+        mesh.face_parts = of_alive(&self.face_parts);
         mesh
     }
 
@@ -230,6 +239,8 @@ impl Replay {
             materials: self.materials.clone(),
             textures: self.textures.clone(),
             images: self.images.clone(),
+            face_parts: self.face_parts.clone(),
+            tree: self.tree.clone(),
         }
     }
 
@@ -438,6 +449,14 @@ fn check_mesh(mesh: &Mesh) -> Result<(), &'static str> {
         (
             mesh.face_materials.is_empty() || mesh.face_materials.len() == mesh.faces.len(),
             "not every face has a material",
+        ),
+        (
+            mesh.face_parts.is_empty() || mesh.face_parts.len() == mesh.faces.len(),
+            "not every face has a part",
+        ),
+        (
+            mesh.face_parts.iter().all(|part| (*part as usize) < mesh.n_parts()),
+            "a face names a part that is not there",
         ),
     ];
     rules.iter().find(|(holds, _)| !holds).map_or(Ok(()), |(_, problem)| Err(problem))

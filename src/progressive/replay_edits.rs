@@ -162,8 +162,8 @@ impl Replay {
             self.faces.push(new.vertices.map(|v| v.0));
             self.is_face_alive.push(false);
             self.rings.push_face();
-            if !self.face_materials.is_empty() {
-                self.face_materials.push(self.face_materials[half.face.index()]);
+            for list in [&mut self.face_materials, &mut self.face_parts] {
+                list.extend(list.get(half.face.index()).copied());
             }
             self.set_alive(&new, true);
             self.move_corner(3 * half.face.0 + at_b as u32, s.b, s.vertex);
@@ -214,6 +214,7 @@ impl Replay {
             self.is_face_alive.pop();
             self.rings.pop_face();
             self.face_materials.truncate(self.faces.len());
+            self.face_parts.truncate(self.faces.len());
             if let Some(wedges) = self.face_wedges.get_mut(half.face.index()) {
                 wedges[at_b] = half.wedges[at_b].0;
             }

@@ -12,6 +12,7 @@ use super::{
     images::put_images,
     linked,
     log::RecordLog,
+    parts::put_parts,
     replay::Replay,
     section::{Section, Streams},
     writer_edits::{EditedLevels, fingerprint},
@@ -101,6 +102,7 @@ impl Writer {
         code_wedges(&mut base, &mut self.replay, &mut wedges).map_err(at_base)?;
         let mut body = Vec::new();
         (header.images, header.blobs) = put_images(&self.replay.images, &mut body);
+        header.parts = put_parts(&self.replay, &mut body)?;
         header.n_base_wedges = wedges.len() as u32;
         header.base = base.pack(&mut body)?;
         header.blocks = blocks;
@@ -134,6 +136,7 @@ impl Writer {
             textures: replay.textures.clone(),
             images: Vec::new(),
             blobs: Vec::new(),
+            parts: None,
             levels: std::mem::take(&mut self.levels),
             n_records: self.log.len() as u32,
             n_base_vertices: replay.n_alive_vertices,

@@ -11,7 +11,7 @@ use proptest::{
 use super::{
     evaluator::{Evaluator, Reference},
     moves::{AddedFace, Move},
-    paint::{Paint, Texels},
+    paint::{Alpha, Paint, Sieve, Texels},
     raster,
     scene::{RenderParams, Scene, SceneFace, Shading, Surface},
     twin::Twin,
@@ -136,6 +136,7 @@ pub fn scene_of(positions: Vec<DVec3>, faces: Vec<[u32; 3]>, look: Look) -> Scen
     };
     let albedo = |f: usize| if look.coloured { [(f * 7 % 256) as u8, 255, 90] } else { [255; 3] };
     let surface = |f: usize, corners: [u32; 3]| Surface {
+        is_unlit: look.painted && f.is_multiple_of(7),
         albedo: albedo(f),
         paint: look.painted.then(|| paint(f, corners.map(|v| positions[v as usize]))),
     };
@@ -145,22 +146,27 @@ pub fn scene_of(positions: Vec<DVec3>, faces: Vec<[u32; 3]>, look: Look) -> Scen
     Scene::new(params, views, Arc::new(texels()), positions, faces)
 }
 
-/// Two textures: a repeated one and one that is not square and held at its edges along one axis.
+/// Four textures: a repeated one, one that is not square and held at its edges along one axis, one with holes that a
+/// threshold makes, and one that is dithered.
 fn texels() -> Texels {
     let noise = |k: u32| (k.wrapping_mul(2_654_435_761) >> 24) as u8;
     let mut texels = Texels::default();
-    texels.add([6, 6], (0..64 * 64).map(noise).collect(), [false; 2]);
-    texels.add([5, 3], (0..32 * 8).map(noise).collect(), [true, false]);
+    texels.add([6, 6], (0..64 * 64).map(noise).collect(), [false; 2], None);
+    texels.add([5, 3], (0..32 * 8).map(noise).collect(), [true, false], None);
+    for sieve in [Sieve::Below(100), Sieve::Dithered] {
+        let alpha = Alpha { values: (7..16 * 16 + 7).map(noise).collect(), sieve };
+        texels.add([4, 4], (0..16 * 16).map(noise).collect(), [false; 2], Some(alpha));
+    }
     texels
 }
 
-/// Two textures and plain surfaces by turns; coordinates run beyond the texture on all sides, and every ninth
+/// The textures and plain surfaces by turns; coordinates run beyond the texture on all sides, and every ninth
 /// triangle has some that are far away.
 fn paint(f: usize, corners: [DVec3; 3]) -> Paint {
     let far = if f.is_multiple_of(9) { 300.0 } else { 1.0 };
     let uv = corners.map(|p| [(p.x * 1.7 * far) as f32, (p.y + 0.3 * p.z) as f32]);
     // A texture that is not there leaves a surface plain.
-    Paint { map: f as u32 % 3, uv }
+    Paint { map: f as u32 % 5, uv }
 }
 
 /// Collapses the edge (keep, drop) of a live face to `to`, by brute force over all faces.

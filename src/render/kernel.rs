@@ -89,6 +89,9 @@ pub(super) fn delta_plain(of: &Judged<'_>, scratch: &mut Scratch) -> i64 {
     scratch.keys.resize(width * height, [NOTHING; LANES]);
     for (rank, (_, s)) in of.setups.iter().enumerate() {
         super::raster::for_each_pixel(s, |i, j| {
+            if s.is_hole(of.texels, i, j) {
+                return;
+            }
             let block = (j / BLOCK_HEIGHT - blocks.y0) as usize * width
                 + (i / BLOCK_WIDTH - blocks.x0) as usize;
             let lane = (j % BLOCK_HEIGHT * BLOCK_WIDTH + i % BLOCK_WIDTH) as usize;

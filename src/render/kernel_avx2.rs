@@ -67,9 +67,11 @@ fn raster(s: &Setup, rank: usize, blocks: BlockRect, texels: &[u32], keys: &mut 
             }
             let nearest = _mm256_min_epu32(lanes(slot), key);
             if let Some(brush) = &brush {
-                let is_old = _mm256_cmpeq_epi32(nearest, lanes(slot));
+                let mut is_old = _mm256_cmpeq_epi32(nearest, lanes(slot));
                 if _mm256_movemask_ps(_mm256_castsi256_ps(is_old)) != 0xff {
-                    let painted = brush.painted(nearest, column as i32);
+                    let (painted, is_hole) = brush.painted(nearest, column as i32);
+                    is_old = or(is_old, is_hole);
+                    let nearest = _mm256_blendv_epi8(nearest, lanes(slot), is_old);
                     *slot = bytemuck::cast(_mm256_blendv_epi8(painted, nearest, is_old));
                 }
             } else {

@@ -2,16 +2,16 @@
 
 use std::arch::x86_64::{
     __m128i, __m256i, _mm_set1_epi64x, _mm256_add_epi32, _mm256_and_si256, _mm256_castsi256_si128,
-    _mm256_cvtepi32_pd, _mm256_cvttpd_epi32, _mm256_div_pd, _mm256_extracti128_si256,
-    _mm256_max_epi32, _mm256_min_epi32, _mm256_mullo_epi32, _mm256_or_si256, _mm256_set_m128i,
-    _mm256_set1_epi32, _mm256_set1_pd, _mm256_sll_epi32, _mm256_srai_epi32, _mm256_srli_epi32,
-    _mm256_sub_epi32,
+    _mm256_cmpgt_epi32, _mm256_cvtepi32_pd, _mm256_cvttpd_epi32, _mm256_div_pd,
+    _mm256_extracti128_si256, _mm256_max_epi32, _mm256_min_epi32, _mm256_mullo_epi32,
+    _mm256_or_si256, _mm256_set_m128i, _mm256_set1_epi32, _mm256_set1_pd, _mm256_setzero_si256,
+    _mm256_sll_epi32, _mm256_srai_epi32, _mm256_srli_epi32, _mm256_sub_epi32,
 };
 
 use super::{
-    fragments::LANES,
+    fragments::{BLOCK_HEIGHT, BLOCK_WIDTH, LANES},
     kernel_avx2::{Affine, Lanes, clamp},
-    paint::{PAINT_BITS, Painted},
+    paint::{Holes, PAINT_BITS, Painted, dither},
 };
 
 /// A texture on a triangle, at the blocks of a row.
@@ -25,6 +25,9 @@ pub(super) struct Brush<'a> {
     masks: [Lanes; 2],
     width_bits: __m128i,
     at: usize,
+    holes: Option<Holes>,
+    /// The first pixel of the row's first block.
+    corner: [i32; 2],
 }
 
 impl<'a> Brush<'a> {
@@ -42,39 +45,64 @@ impl<'a> Brush<'a> {
             masks: paint.bits.map(|b| all((1 << b) - 1)),
             width_bits: _mm_set1_epi64x(i64::from(paint.bits[0])),
             at: paint.at as usize,
+            holes: paint.holes,
+            corner: [i0, j0],
         }
     }
 
     #[target_feature(enable = "avx2")]
     pub(super) fn next_row(&mut self) {
         self.planes.iter_mut().for_each(|p| p.next_row());
+        self.corner[1] += BLOCK_HEIGHT;
     }
 
-    /// The keys of block `column` of the row, their luminances seen through the texture.
+    /// The keys of block `column` of the row, their luminances seen through the texture; and where it has holes.
     #[target_feature(enable = "avx2")]
-    pub(super) fn painted(&self, keys: Lanes, column: i32) -> Lanes {
+    pub(super) fn painted(&self, keys: Lanes, column: i32) -> (Lanes, Lanes) {
+        let place = self.coordinates(column);
         let low = _mm256_set1_epi32(0xff);
         let lum = _mm256_and_si256(keys, low);
         let product = _mm256_mullo_epi32(
-            _mm256_mullo_epi32(lum, self.luminance(column)),
+            _mm256_mullo_epi32(lum, self.look_up(self.at, place)),
             _mm256_set1_epi32(257),
         );
         let lum = _mm256_srli_epi32::<16>(_mm256_add_epi32(product, _mm256_set1_epi32(32_768)));
-        _mm256_or_si256(_mm256_sub_epi32(keys, _mm256_and_si256(keys, low)), lum)
+        let painted = _mm256_or_si256(_mm256_sub_epi32(keys, _mm256_and_si256(keys, low)), lum);
+        let is_hole = match self.holes {
+            None => _mm256_setzero_si256(),
+            Some(holes) => {
+                let least = if holes.least == 0 {
+                    self.dither(column)
+                } else {
+                    _mm256_set1_epi32(holes.least as i32)
+                };
+                _mm256_cmpgt_epi32(least, self.look_up(holes.at as usize, place))
+            }
+        };
+        (painted, is_hole)
     }
 
-    /// The texture's luminances.
+    /// The least alphas of a dithered surface.
     #[target_feature(enable = "avx2")]
-    fn luminance(&self, column: i32) -> Lanes {
-        let [x, y] = self.coordinates(column);
+    fn dither(&self, column: i32) -> Lanes {
+        let [i0, j0] = [self.corner[0] + column * BLOCK_WIDTH, self.corner[1]];
+        let least: [u32; LANES] = std::array::from_fn(|lane| {
+            let lane = lane as i32;
+            dither(i0 + lane % BLOCK_WIDTH, j0 + lane / BLOCK_WIDTH)
+        });
+        bytemuck::cast(least)
+    }
+
+    /// What lies at these coordinates, of the level that begins at a word.
+    #[target_feature(enable = "avx2")]
+    fn look_up(&self, first: usize, [x, y]: [Lanes; 2]) -> Lanes {
         let row = _mm256_and_si256(_mm256_srai_epi32::<6>(y), self.masks[1]);
         let texel = _mm256_add_epi32(
             _mm256_sll_epi32(row, self.width_bits),
             _mm256_and_si256(_mm256_srai_epi32::<6>(x), self.masks[0]),
         );
         let texel: [u32; LANES] = bytemuck::cast(texel);
-        let four =
-            texel.map(|t| self.texels.get(self.at + t as usize).copied().unwrap_or(u32::MAX));
+        let four = texel.map(|t| self.texels.get(first + t as usize).copied().unwrap_or(u32::MAX));
         let four: Lanes = bytemuck::cast(four);
         let byte = |shifted: Lanes| _mm256_and_si256(shifted, _mm256_set1_epi32(0xff));
         let (a, b) = (byte(four), byte(_mm256_srli_epi32::<8>(four)));

@@ -281,6 +281,12 @@ impl Setup {
         self.paint.as_ref().map_or(lum, |p| modulated(lum, p.at(texels, i, j))) as u8
     }
 
+    /// Whether the texture has a hole at pixel (i, j).
+    #[inline(always)]
+    pub fn is_hole(&self, texels: &[u32], i: i32, j: i32) -> bool {
+        self.paint.as_ref().is_some_and(|p| p.is_hole(texels, i, j))
+    }
+
     /// Whether pixel (i, j) is covered.
     #[inline(always)]
     pub fn covers(&self, i: i32, j: i32) -> bool {

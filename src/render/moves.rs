@@ -148,7 +148,11 @@ impl Projected {
     pub fn set_up(&self, scene: &Scene, mv: &Move, k: usize, view: usize) -> Option<Setup> {
         let points = self.added_points(k, view);
         let surface = &mv.added[k].surface;
-        let lum = self.added_luminance(scene, surface.albedo, k, view);
+        let lum = if surface.is_unlit {
+            surface.albedo
+        } else {
+            self.added_luminance(scene, surface.albedo, k, view)
+        };
         let mut setup = scene.lattice.setup(points, lum, scene.culls_front(view))?;
         if let Some(paint) = &surface.paint {
             let shown = (points, self.places[k]);

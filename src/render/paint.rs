@@ -9,7 +9,8 @@
 //! 1. sides of a level are powers of two, so that a texture repeats by masking;
 //! 2. a word of [`Texels`] holds a texel and its right, lower, and lower right neighbour: one look is enough;
 //! 3. a triangle spans at most 2^9 texels of its level along each axis;
-//! 4. what a triangle looks like in a pixel depends on its corners' places and coordinates, and on the view.
+//! 4. what a triangle looks like in a pixel depends on its corners' places and coordinates, and on the view;
+//! 5. a hole, where the texture's alpha says so, is no fragment: the triangle does not cover that pixel.
 
 use glam::DVec3;
 
@@ -41,14 +42,36 @@ pub struct Texels {
 struct Map {
     levels: Vec<Level>,
     is_clamped: [bool; 2],
+    /// Where it has holes; `None` where it has none.
+    sieve: Option<Sieve>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Level {
     /// First word.
     at: u32,
+    /// First word of the alphas, where the texture has holes.
+    alpha_at: u32,
     /// log2 of width and height.
     bits: [u32; 2],
+}
+
+/// Which alphas leave holes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sieve {
+    /// Those below this one (0 to 255).
+    Below(u8),
+    /// As large a share of them as is transparent, spread evenly over the pixels.
+    Dithered,
+}
+
+/// Where a texture is transparent.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Alpha {
+    /// As many as luminances.
+    pub values: Vec<u8>,
+    /// Which of them leave holes.
+    pub sieve: Sieve,
 }
 
 /// A texture on a triangle.
@@ -75,23 +98,54 @@ pub struct Painted {
     pub at: u32,
     /// log2 of its width and height.
     pub bits: [u32; 2],
+    /// Its holes.
+    pub holes: Option<Holes>,
+}
+
+/// Where a level of a texture has holes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Holes {
+    /// First word of the alphas.
+    pub at: u32,
+    /// The least alpha without a hole, 1 to 255; 0: that of [`dither`].
+    pub least: u32,
 }
 
 impl Texels {
     /// Adds a texture of 2^`bits` texels, luminances row by row from the top; returns its number.
     /// Coordinates beyond its edges repeat, or are held at them along the axes that are clamped.
-    pub fn add(&mut self, bits: [u32; 2], luminances: Vec<u8>, is_clamped: [bool; 2]) -> u32 {
+    pub fn add(
+        &mut self,
+        bits: [u32; 2],
+        luminances: Vec<u8>,
+        is_clamped: [bool; 2],
+        alpha: Option<Alpha>,
+    ) -> u32 {
+        let sieve = alpha.as_ref().map(|a| a.sieve);
+        let mut alphas = alpha.map(|a| a.values);
+        let share = alphas.as_ref().zip(sieve).map(|(values, sieve)| share_left(values, sieve));
         let (mut levels, mut bits, mut level) = (Vec::new(), bits, luminances);
         loop {
-            levels.push(Level { at: self.words.len() as u32, bits });
+            let at = self.words.len() as u32;
             self.append(&level, bits, is_clamped);
+            let alpha_at = self.words.len() as u32;
+            if let (Some(values), Some(sieve), Some(share)) = (&alphas, sieve, share) {
+                self.append(&as_open(values, sieve, share), bits, is_clamped);
+            }
+            levels.push(Level { at, alpha_at, bits });
             if bits == [0, 0] {
                 break;
             }
+            alphas = alphas.map(|values| halved(&values, bits).0);
             (level, bits) = halved(&level, bits);
         }
-        self.maps.push(Map { levels, is_clamped });
+        self.maps.push(Map { levels, is_clamped, sieve });
         self.maps.len() as u32 - 1
+    }
+
+    /// Whether a texture has holes.
+    pub fn has_holes(&self, map: u32) -> bool {
+        self.maps.get(map as usize).is_some_and(|map| map.sieve.is_some())
     }
 
     /// Whether there are no textures.
@@ -152,8 +206,49 @@ impl Texels {
             range: [range(0), range(1)],
             at: level.at,
             bits: level.bits,
+            holes: map.sieve.map(|sieve| Holes { at: level.alpha_at, least: sieve.least() }),
         })
     }
+}
+
+impl Sieve {
+    /// See [`Holes::least`].
+    fn least(self) -> u32 {
+        match self {
+            Self::Below(least) => u32::from(least.max(1)),
+            Self::Dithered => 0,
+        }
+    }
+}
+
+/// How many alphas leave no hole, where a threshold decides.
+fn share_left(alphas: &[u8], sieve: Sieve) -> f64 {
+    let n = alphas.iter().filter(|a| u32::from(**a) >= sieve.least()).count();
+    n as f64 / alphas.len().max(1) as f64
+}
+
+/// The alphas of a coarser level, scaled so that the same share of them as in the finest level leaves no hole:
+/// the means of a fence would else be above the threshold everywhere, or nowhere (Castaño 2010).
+fn as_open(alphas: &[u8], sieve: Sieve, share: f64) -> Vec<u8> {
+    let Sieve::Below(least) = sieve else { return alphas.to_vec() };
+    let n_left = (share * alphas.len() as f64 + 0.5) as usize;
+    let mut sorted = alphas.to_vec();
+    sorted.sort_unstable_by(|a, b| b.cmp(a));
+    let Some(last) = n_left.checked_sub(1).map(|k| sorted[k]).filter(|last| *last > 0) else {
+        return vec![0; alphas.len()];
+    };
+    let scale = |a: u8| (u32::from(a) * u32::from(least.max(1))).div_ceil(u32::from(last)).min(255);
+    alphas.iter().map(|a| scale(*a) as u8).collect()
+}
+
+/// The least alpha that covers pixel (i, j) of a dithered surface: of every 8 × 8 pixels another one each, in the
+/// order of Bayer 1973.
+pub fn dither(i: i32, j: i32) -> u32 {
+    let (x, y) = ((i ^ j) as u32, j as u32);
+    let bit = |v: u32, from: u32, to: u32| (v >> from & 1) << to;
+    let rank =
+        bit(x, 0, 5) | bit(y, 0, 4) | bit(x, 1, 3) | bit(y, 1, 2) | bit(x, 2, 1) | bit(y, 2, 0);
+    4 * rank + 2
 }
 
 impl Map {
@@ -232,6 +327,20 @@ impl Painted {
     /// The texture's luminance at pixel (i, j).
     #[inline]
     pub fn at(&self, words: &[u32], i: i32, j: i32) -> u32 {
+        self.look_up(words, self.at, i, j)
+    }
+
+    /// Whether there is a hole at pixel (i, j).
+    #[inline]
+    pub fn is_hole(&self, words: &[u32], i: i32, j: i32) -> bool {
+        self.holes.is_some_and(|holes| {
+            let least = if holes.least == 0 { dither(i, j) } else { holes.least };
+            self.look_up(words, holes.at, i, j) < least
+        })
+    }
+
+    #[inline]
+    fn look_up(&self, words: &[u32], first: u32, i: i32, j: i32) -> u32 {
         let [near, one, two] = [0, 1, 2].map(|k| self.planes[k].at(i, j, PAINT_BITS) as u32);
         let per_near = (1 << 29) / near.max(1);
         let shares = [one, two].map(|share| (share.wrapping_mul(per_near) >> 14) as i32);
@@ -246,7 +355,7 @@ impl Painted {
         let mask = self.bits.map(|b| (1_i32 << b) - 1);
         let texel = ((y >> TEXEL_BITS & mask[1]) << self.bits[0]) + (x >> TEXEL_BITS & mask[0]);
         let [a, b, c, d] = words
-            .get(self.at as usize + texel as usize)
+            .get(first as usize + texel as usize)
             .copied()
             .unwrap_or(u32::MAX)
             .to_le_bytes()
@@ -272,7 +381,7 @@ mod tests {
     fn ramp(is_clamped: bool) -> Texels {
         let mut texels = Texels::default();
         let row: Vec<u8> = (0..64).map(|x| 4 * x).collect();
-        texels.add([6, 6], row.repeat(64), [is_clamped; 2]);
+        texels.add([6, 6], row.repeat(64), [is_clamped; 2], None);
         texels
     }
 
@@ -339,7 +448,7 @@ mod tests {
     fn far_textures_are_seen_at_coarse_levels() {
         let mut texels = Texels::default();
         let checks = (0..256 * 256).map(|k| if (k / 256 + k) % 2 == 0 { 0 } else { 255 }).collect();
-        texels.add([8, 8], checks, [false; 2]);
+        texels.add([8, 8], checks, [false; 2], None);
         let lattice = Lattice::new(64);
         let sphere = BoundingSphere { center: DVec3::ZERO, radius: 1.0 };
         let params = ViewParams {

@@ -1,13 +1,17 @@
 //! Full rendering of a scene on the host: reference pictures, and the sorted fragments of the
 //! current model. Slow but simple; the incremental paths are checked against it.
 
-use std::ops::Range;
+use std::{
+    ops::Range,
+    sync::atomic::{AtomicBool, Ordering},
+};
 
 use rayon::prelude::*;
 
 use super::{
     evaluator::Reference,
     lattice::{DEPTH_BITS, PixelRect, Setup},
+    nearest::{NOTHING, Nearest},
     scene::{Scene, SceneFace},
     view::View,
 };
@@ -25,36 +29,36 @@ pub struct Fragment {
 
 /// Renders the nearest surface in every view.
 pub fn reference(scene: &Scene) -> Reference {
-    Reference {
-        pictures: (0..scene.n_views()).into_par_iter().map(|v| picture(scene, v)).collect(),
-    }
+    reference_and_seen(scene).0
+}
+
+/// Likewise; and of each triangle, whether it is the nearest in some pixel of some view.
+pub fn reference_and_seen(scene: &Scene) -> (Reference, Vec<bool>) {
+    let seen: Vec<AtomicBool> = scene.faces.iter().map(|_| AtomicBool::new(false)).collect();
+    let draw = |view: usize| {
+        let nearest = Nearest::of(scene, view);
+        let ids = nearest.ids.iter().filter(|id| **id != NOTHING);
+        ids.for_each(|id| seen[*id as usize].store(true, Ordering::Relaxed));
+        shade(scene, view, &nearest)
+    };
+    let pictures = (0..scene.n_views()).into_par_iter().map(draw).collect();
+    (Reference { pictures }, seen.into_iter().map(AtomicBool::into_inner).collect())
 }
 
 /// The picture of one view: 8-bit luminance, row by row from the top.
 pub fn picture(scene: &Scene, view: usize) -> Vec<u8> {
-    let size = scene.lattice.size;
-    let mut nearest = vec![(u32::MAX, u32::MAX); (size * size) as usize];
-    let at = |i: i32, j: i32| (j * size + i) as usize;
-    for_each_setup(
-        scene,
-        view,
-        |_| true,
-        |id, _, s| {
-            for_each_pixel(s, |i, j| {
-                let slot = &mut nearest[at(i, j)];
-                *slot = (*slot).min((s.depth.at(i, j, DEPTH_BITS) as u32, id));
-            });
-        },
-    );
+    shade(scene, view, &Nearest::of(scene, view))
+}
+
+fn shade(scene: &Scene, view: usize, nearest: &Nearest) -> Vec<u8> {
     // Most triangles of a dense model are not seen: shade only those that are.
-    let mut is_seen = vec![false; scene.faces.len()];
-    for (_, id) in nearest.iter().filter(|key| key.1 != u32::MAX) {
-        is_seen[*id as usize] = true;
-    }
-    let mut lum = vec![scene.params.background; nearest.len()];
+    let is_seen = nearest.faces_seen(scene.faces.len());
+    let ids = &nearest.ids;
+    let mut lum = vec![scene.params.background; ids.len()];
     for_each_fragment(scene, view, |id| is_seen[id as usize], &mut |i, j, f| {
-        if nearest[at(i, j)].1 == f.face {
-            lum[at(i, j)] = f.lum;
+        let at = (j * scene.lattice.size + i) as usize;
+        if ids[at] == f.face {
+            lum[at] = f.lum;
         }
     });
     lum
@@ -72,13 +76,19 @@ pub fn for_each_fragment(
     for_each_setup(scene, view, wanted, |id, face, _| {
         let texels = scene.texels.words();
         let s = scene.set_up(view, face);
-        s.iter().for_each(|s| for_each_pixel(s, |i, j| on(i, j, fragment(s, texels, id, i, j))));
+        if let Some(s) = &s {
+            for_each_pixel(s, |i, j| {
+                if !s.is_hole(texels, i, j) {
+                    on(i, j, fragment(s, texels, id, i, j));
+                }
+            });
+        }
     });
 }
 
 /// Calls `on(id, triangle, setup)` for every triangle that is `wanted` and may cover a pixel, by
 /// ascending id. The setups know no luminance.
-pub fn for_each_setup(
+pub(super) fn for_each_setup(
     scene: &Scene,
     view: usize,
     wanted: impl Fn(u32) -> bool,
@@ -104,8 +114,8 @@ pub fn for_each_pixel(s: &Setup, mut on: impl FnMut(i32, i32)) {
 
 /// Calls `on(columns, j)` for every row in which a triangle covers pixels. Triangles are convex: what a
 /// row covers is one run.
-#[inline]
-pub fn for_each_run(s: &Setup, mut on: impl FnMut(Range<i32>, i32)) {
+#[inline(always)]
+pub(super) fn for_each_run(s: &Setup, mut on: impl FnMut(Range<i32>, i32)) {
     let PixelRect { x0, y0, x1, y1 } = s.rect;
     for j in y0..=y1 {
         let [mut a, mut b, mut c] = s.edges.map(|e| e.at(x0, j));

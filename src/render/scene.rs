@@ -48,11 +48,13 @@ pub struct Surface {
     pub albedo: [u8; 3],
     /// A texture, whose luminance multiplies the albedo.
     pub paint: Option<Paint>,
+    /// As bright from everywhere: no light falls on it.
+    pub is_unlit: bool,
 }
 
 impl Surface {
     /// The same everywhere.
-    pub const WHITE: Self = Self { albedo: [255; 3], paint: None };
+    pub const WHITE: Self = Self { albedo: [255; 3], paint: None, is_unlit: false };
 
     /// Takes corner `from` of another surface as corner `k`.
     pub fn set_corner(&mut self, k: usize, other: &Self, from: usize) {
@@ -165,6 +167,11 @@ impl Scene {
         Some(setup)
     }
 
+    /// Whether the texture on a triangle has holes.
+    pub fn has_holes(&self, face: &SceneFace) -> bool {
+        face.surface.paint.is_some_and(|paint| self.texels.has_holes(paint.map))
+    }
+
     /// The texture on a triangle that is in the scene and has an area in this view.
     pub fn painted(&self, view: usize, face: &SceneFace) -> Option<Painted> {
         let paint = face.surface.paint.as_ref()?;
@@ -175,6 +182,9 @@ impl Scene {
 
     /// Luminances at the corners of a triangle that is in the scene.
     pub fn face_luminance(&self, view: usize, face: &SceneFace) -> [u8; 3] {
+        if face.surface.is_unlit {
+            return face.surface.albedo;
+        }
         let p = face.vertices.map(|v| self.positions[v as usize]);
         let shape = FaceShape::new(p);
         match self.params.shading {

@@ -132,8 +132,11 @@ fn update_view(
     }
     for (k, added) in mv.added.iter().enumerate() {
         if let Some(s) = projected.set_up(scene, mv, k, view) {
+            let texels = scene.texels.words();
             raster::for_each_pixel(&s, |i, j| {
-                lists.insert(i, j, raster::fragment(&s, scene.texels.words(), added.face, i, j));
+                if !s.is_hole(texels, i, j) {
+                    lists.insert(i, j, raster::fragment(&s, texels, added.face, i, j));
+                }
             });
         }
     }

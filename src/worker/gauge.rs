@@ -6,7 +6,7 @@
 use std::{borrow::Cow, cell::OnceCell};
 
 use crate::{
-    io,
+    io::{self, GlbOptions},
     jobs::spec::LevelBudget,
     mesh::{EditMesh, FaceId, Mesh},
 };
@@ -16,15 +16,22 @@ use super::{pipeline::PipelineError, stopped::StoppedBy, switching::Switching};
 /// Knows the original.
 pub(super) struct Gauge<'m> {
     original: &'m Mesh,
+    options: GlbOptions,
     switching: OnceCell<Switching>,
     /// Bytes of a file of one triangle: images, materials, what describes them.
     n_fixed_bytes: OnceCell<u64>,
 }
 
 impl<'m> Gauge<'m> {
-    /// For levels of this original. Nothing is prepared before it is asked for.
-    pub fn new(original: &'m Mesh) -> Self {
-        Self { original, switching: OnceCell::new(), n_fixed_bytes: OnceCell::new() }
+    /// For levels of this original, whose files are written like this. Nothing is prepared before it is asked for.
+    pub fn new(original: &'m Mesh, options: GlbOptions) -> Self {
+        let (switching, n_fixed_bytes) = (OnceCell::new(), OnceCell::new());
+        Self { original, options, switching, n_fixed_bytes }
+    }
+
+    /// The file of a level.
+    pub fn glb(&self, mesh: &Mesh) -> Result<Vec<u8>, PipelineError> {
+        Ok(io::write_glb_with(mesh, self.options)?)
     }
 
     /// Measures distances from the original.
@@ -38,7 +45,7 @@ impl<'m> Gauge<'m> {
             return Ok(*n);
         }
         let triangle = self.original.subset(vec![FaceId(0)]).mesh;
-        let n = io::write_glb(&triangle)?.len() as u64;
+        let n = self.glb(&triangle)?.len() as u64;
         Ok(*self.n_fixed_bytes.get_or_init(|| n))
     }
 
@@ -102,7 +109,7 @@ impl Measured<'_> {
         if let Some(n) = self.n_bytes.get() {
             return Ok(*n);
         }
-        let n = io::write_glb(self.snapshot())?.len() as u64;
+        let n = self.gauge.glb(self.snapshot())?.len() as u64;
         Ok(*self.n_bytes.get_or_init(|| n))
     }
 

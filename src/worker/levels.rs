@@ -54,6 +54,8 @@ pub struct Level {
     pub stopped_by: StoppedBy,
     /// What optimization has done to it.
     pub optimized: Option<Optimized>,
+    /// Triangles that no run-time view sees, if they were drawn.
+    pub n_unseen: Option<usize>,
 }
 
 impl Level {
@@ -207,6 +209,7 @@ impl Levels {
             d2: end.energy.map(|e| e.1),
             stopped_by: end.stopped_by,
             optimized: None,
+            n_unseen: None,
         });
     }
 
@@ -222,6 +225,11 @@ impl Levels {
     pub fn simplified(&mut self) -> impl Iterator<Item = &mut Level> {
         let (is_given, n_original) = (self.is_given, self.n_original);
         self.done.iter_mut().filter(move |l| is_given || l.mesh.faces.len() < n_original)
+    }
+
+    /// Counts what the run-time views do not see of the levels as they are now.
+    pub fn look(&mut self, n_unseen: impl Fn(&Mesh) -> Option<usize>) {
+        self.done.iter_mut().for_each(|level| level.n_unseen = n_unseen(&level.mesh));
     }
 
     /// Levels in the order asked for.

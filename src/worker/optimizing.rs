@@ -3,7 +3,7 @@
 use std::{ops::ControlFlow, time::Instant};
 
 use crate::{
-    io, memoryless,
+    memoryless,
     mesh::{EditMesh, Marks, Mesh, Stage, Step},
     metric::d2_percent,
     optimize::{Optimizer, Outcome, alternate},
@@ -100,7 +100,7 @@ fn trim(
     recorder: &mut Recorder<'_>,
 ) -> Result<bool, PipelineError> {
     let Some((most, _)) = job.gauge.max_bytes(&level.budget)? else { return Ok(false) };
-    let n_bytes = |mesh: &Mesh| io::write_glb(mesh).map(|glb| glb.len() as u64);
+    let n_bytes = |mesh: &Mesh| job.gauge.glb(mesh).map(|glb| glb.len() as u64);
     // One that could not be made small enough is not made smaller here.
     let is_held = n_bytes(&level.mesh)? <= most;
     let params = params::memoryless(job.spec);

@@ -3,6 +3,7 @@
 use glam::DVec3;
 
 use crate::{
+    io::GlbOptions,
     jobs::spec::{self, Effort, Lock, Projection, Shading, Spec},
     memoryless,
     mesh::{Feature, Mesh, Topology},
@@ -67,6 +68,11 @@ pub fn image(spec: &Spec) -> simplify::Params {
 /// The highest energy at which d2 on the run-time views is no more than so many percent.
 pub fn max_energy(spec: &Spec, d2_percent: f64) -> u64 {
     energy_of_d2(d2_percent, n_counted_pixels(spec))
+}
+
+/// How levels are written.
+pub fn glb_options(spec: &Spec) -> GlbOptions {
+    GlbOptions { quantize: spec.output.quantize, compress: spec.output.compress }
 }
 
 /// Evaluations for each triangle after which a run ends that was given another limit.

@@ -158,7 +158,7 @@ pub fn run(
     let spec = &settled(asked, &ingest, original.mesh.faces.len());
     let asked_marks = original.marks;
     let original = prepared(spec, original.mesh);
-    let (critic, gauge) = (OnceLock::new(), Gauge::new(&original));
+    let (critic, gauge) = (OnceLock::new(), Gauge::new(&original, params::glb_options(spec)));
     let base = simplifying::base(spec, &original, simplified.as_ref());
     let marks = simplifying::marks(spec, &base, (asked_marks, simplified.as_ref()));
     let mut recorder = Recorder::new(spec, &base, start, on)?;
@@ -179,7 +179,7 @@ pub fn run(
     };
     let targets = spec.triangles.iter().filter(|n| **n > 0);
     let n_coarsest = targets.min().map_or(base.faces.len(), |n| *n as usize);
-    let levels = thread::scope(|scope| {
+    let (levels, n_unseen) = thread::scope(|scope| {
         let plan = Plan::new(spec, n_coarsest);
         let drawn = draw_ahead(scope, plan, (spec, &original), pictures.clone(), &critic);
         let studio = Studio::new(&original, (pictures, palette), drawn, device);
@@ -189,11 +189,19 @@ pub fn run(
         if spec.optimizes() {
             figures.extend(optimizing::run(&mut job, &mut levels, &mut recorder, &figures)?);
         }
-        Ok::<_, PipelineError>(levels)
+        levels.look(|mesh| job.studio.n_unseen_of(mesh));
+        Ok::<_, PipelineError>((levels, job.studio.n_unseen()))
     })?;
 
-    let attempt =
-        results::Attempt { spec, ingest: &ingest, facts, gauge: &gauge, figures: &figures, start };
+    let attempt = results::Attempt {
+        spec,
+        ingest: &ingest,
+        facts,
+        gauge: &gauge,
+        figures: &figures,
+        start,
+        n_unseen,
+    };
     results::write_all(out_dir, &original, &levels, &mut recorder, &attempt)
 }
 

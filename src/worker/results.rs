@@ -6,24 +6,29 @@ use serde::Serialize;
 
 use crate::{
     compare,
-    io::{self, IngestReport},
+    io::IngestReport,
     jobs::{event::EnergySample, spec::Spec},
     mesh::{Mesh, Stage},
 };
 
 use super::{
+    chain,
     chosen::{Chosen, Facts},
     critic::look,
     gauge::Gauge,
     levels::{Level, Levels, Optimized},
+    params,
     pipeline::PipelineError,
     recorder::Recorder,
     stopped::StoppedBy,
     switching::Switching,
+    vanished::Vanished,
 };
 
 /// No screen is higher, in pixels: what [`Spec::screen_size`] may be.
 const TALLEST_SCREEN: f64 = 65_536.0;
+
+const GLB: &str = "model/gltf-binary";
 
 /// What a stage cost.
 #[derive(Clone, Debug, Serialize)]
@@ -113,6 +118,8 @@ pub(super) struct Attempt<'a> {
     pub figures: &'a [StageFigures],
     /// When the attempt began.
     pub start: Instant,
+    /// Triangles of the original that no run-time view sees, if they were drawn.
+    pub n_unseen: Option<usize>,
 }
 
 #[derive(Serialize)]
@@ -121,6 +128,9 @@ struct ReportFile<'a> {
     seed: u64,
     device: &'a str,
     input: &'a IngestReport,
+    /// Triangles of the original that are in front in no pixel of the run-time pictures; absent
+    /// without pictures.
+    never_seen_triangles: Option<usize>,
     spec: &'a Spec,
     chosen: Chosen,
     levels: Vec<LevelReport<'a>>,
@@ -146,6 +156,10 @@ struct LevelReport<'a> {
     screen_size_pixels: Option<f64>,
     /// Size of the file.
     bytes: usize,
+    /// Triangles of the level that are in front in no pixel of the run-time pictures.
+    never_seen_triangles: Option<usize>,
+    /// Parts of the original of which nothing is left; absent for a level that came with the job.
+    parts_vanished: Option<Vanished>,
     /// Absent where the level was not optimized.
     #[serde(skip_serializing_if = "Option::is_none")]
     optimization: Option<&'a Optimized>,
@@ -163,11 +177,20 @@ pub(super) fn write_all(
     fs::create_dir_all(out_dir)?;
     let mut out = Output { dir: out_dir, recorder };
     let mut reports = Vec::new();
+    let options = params::glb_options(attempt.spec);
     for (i, level) in levels.in_order().enumerate() {
         let file = format!("lod-{i}.glb");
-        let glb = io::write_glb(&level.mesh)?;
-        out.write(&file, "model/gltf-binary", &glb)?;
-        reports.push(level_report((file, glb.len()), level, attempt.gauge));
+        let glb = attempt.gauge.glb(&level.mesh)?;
+        out.write(&file, GLB, &glb)?;
+        let report = level_report((file, glb.len()), level, original, attempt.gauge);
+        if let Some(note) = report.parts_vanished.as_ref().and_then(|v| v.note(&level.name())) {
+            out.recorder.note("PARTS_VANISHED", &note)?;
+        }
+        reports.push(report);
+    }
+    let distances: Vec<_> = reports.iter().map(|r| r.switch_distance_radii).collect();
+    if let Some(bytes) = chain::file(levels, &distances, options)? {
+        out.write("lods.glb", GLB, &bytes)?;
     }
     out.write("progressive.lkpm", "application/octet-stream", &progressive)?;
     write_pictures(&mut out, attempt.spec, original, levels)?;
@@ -183,6 +206,7 @@ pub(super) fn write_all(
         seed: attempt.spec.seed,
         device: attempt.figures.last().map_or("native", |f| f.device.as_str()),
         input: attempt.ingest,
+        never_seen_triangles: attempt.n_unseen,
         spec: attempt.spec,
         chosen: Chosen::of(attempt.spec, attempt.ingest, &attempt.facts),
         levels: reports,
@@ -210,6 +234,7 @@ impl Output<'_, '_> {
 fn level_report<'a>(
     (file, bytes): (String, usize),
     level: &'a Level,
+    original: &Mesh,
     gauge: &Gauge<'_>,
 ) -> LevelReport<'a> {
     let deviation = gauge.switching().deviation_radii(&level.mesh);
@@ -225,6 +250,8 @@ fn level_report<'a>(
         switch_distance_radii: deviation.map(Switching::distance_radii),
         screen_size_pixels: screen_size.filter(|pixels| *pixels <= TALLEST_SCREEN),
         bytes,
+        never_seen_triangles: level.n_unseen,
+        parts_vanished: Vanished::of(original, &level.mesh),
         optimization: level.optimized.as_ref(),
     }
 }

@@ -6,7 +6,9 @@ use glam::DVec3;
 
 use crate::{
     mesh::{EditMesh, Mesh},
-    metric::{Objective, Palette, Pictures, ViewSet, bounding_sphere, scene_as_drawn},
+    metric::{
+        Objective, Palette, Pictures, ViewSet, bounding_sphere, pictures_and_unseen, scene_as_drawn,
+    },
     render::{self, RenderError, Scene, choose},
 };
 
@@ -82,7 +84,7 @@ impl<'m> Studio<'m> {
         if self.sets.is_empty() {
             self.add_set();
         }
-        let ViewSet { pictures, reference } = &self.sets[0];
+        let ViewSet { pictures, reference, .. } = &self.sets[0];
         let drawn = render::reference(&self.scene(mesh, pictures));
         render::energy(&pictures.views, reference, &drawn.pictures)
     }
@@ -118,12 +120,22 @@ impl<'m> Studio<'m> {
 
     /// Draws a mesh in a view set; number 0 is the run-time views.
     pub fn show(&self, set: usize, mesh: &EditMesh) -> Result<Objective, RenderError> {
-        let ViewSet { pictures, reference } = &self.sets[set];
+        let ViewSet { pictures, reference, .. } = &self.sets[set];
         let scene = self.scene(mesh, pictures);
         let choice = choose(&self.device, &scene, reference.clone())?;
         let objective = Objective::new(mesh, &pictures.palette, scene, choice.evaluator);
         let objective = objective.with_reference(reference.clone());
         Ok(if self.has_own_normals { objective.with_own_normals() } else { objective })
+    }
+
+    /// Triangles of the original that no run-time view sees; `None` where they were not drawn.
+    pub fn n_unseen(&self) -> Option<usize> {
+        self.sets.first().map(|set| set.n_unseen)
+    }
+
+    /// The same of a level.
+    pub fn n_unseen_of(&self, level: &Mesh) -> Option<usize> {
+        self.sets.first().map(|set| pictures_and_unseen(level, &set.pictures).1)
     }
 
     fn scene(&self, mesh: &EditMesh, pictures: &Pictures) -> Scene {

@@ -55,9 +55,15 @@ impl Switching {
     }
 }
 
+/// The share of the screen's height that the original's bounding sphere takes at a distance in its
+/// radii, at most 1.
+pub(super) fn screen_coverage(distance_radii: f64) -> f64 {
+    (1.0 / (distance_radii * libm::tan(HALF_FOV_DEGREES.to_radians()))).min(1.0)
+}
+
 /// A pixel at distance D is 2 D tan(fov / 2) / height high.
 fn radii_per_deviation() -> f64 {
-    SCREEN_HEIGHT / (PIXELS * 2.0 * HALF_FOV_DEGREES.to_radians().tan())
+    SCREEN_HEIGHT / (PIXELS * 2.0 * libm::tan(HALF_FOV_DEGREES.to_radians()))
 }
 
 #[cfg(test)]

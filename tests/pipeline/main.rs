@@ -8,6 +8,7 @@
 )]
 
 mod agreement;
+mod assemblies;
 mod bad_input;
 mod budgets;
 mod determinism;

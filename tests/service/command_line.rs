@@ -23,7 +23,9 @@ fn submit_and_run_leave_the_same_files() {
     assert!(output.status.success(), "{output:?}");
     assert_eq!(results(&out), reference);
     let listed = text(&output.stdout);
-    assert!(listed.lines().any(|line| line.ends_with("/lod-1.glb")), "{listed}");
+    for file in ["/lod-1.glb", "/lods.glb"] {
+        assert!(listed.lines().any(|line| line.ends_with(file)), "{listed}");
+    }
 
     let jobs = text(&server.run("jobs", &["--json", "--state=succeeded"]).stdout);
     let job: serde_json::Value = serde_json::from_str(jobs.trim()).unwrap();

@@ -46,7 +46,7 @@ fn a_job_leaves_its_files_in_the_order_asked() {
     let folder = job(&["--triangles=300,900,600", "--effort=fast", "--seed=5"]);
     let curves = ["energy.csv", "energy.svg", "optimization.svg"];
     let mut wanted: BTreeSet<String> =
-        ["progressive.lkpm", "levels.png", "report.json"].map(String::from).into();
+        ["lods.glb", "progressive.lkpm", "levels.png", "report.json"].map(String::from).into();
     wanted.extend(curves.map(String::from));
     for i in 0..3 {
         wanted.extend([format!("lod-{i}.glb"), format!("contact-{i}.png")]);

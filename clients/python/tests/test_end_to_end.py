@@ -102,12 +102,15 @@ def test_a_mesh_that_something_else_simplified_is_optimized(client: lookalike.Cl
 
 def test_a_scene_comes_back_as_a_scene(client: lookalike.Client) -> None:
     parts = [ball(2, subdivisions=3), ball(3, subdivisions=3).apply_translation([3, 0, 0])]
-    run = client.simplify(trimesh.Scene(parts), triangles=300, **QUICK)
+    scene = trimesh.Scene(parts)
+    run = client.simplify(scene, triangles=300, quantize=True, **QUICK)
     (level,) = run.result().lods
     assert isinstance(level, trimesh.Scene)
+    # Under the same names.
+    assert set(level.graph.nodes_geometry) == set(scene.graph.nodes_geometry)
     assert 0 < sum(len(part.faces) for part in level.geometry.values()) <= 300
     # Both balls are still there, where they were.
-    np.testing.assert_allclose(level.bounds, trimesh.Scene(parts).bounds, atol=0.3)
+    np.testing.assert_allclose(level.bounds, scene.bounds, atol=0.3)
 
 
 def test_files_and_bytes_are_models_too(client: lookalike.Client, tmp_path: Path) -> None:

@@ -1,9 +1,6 @@
 //! Materials: base colours and flags; the rest is carried word for word and named in notes.
 
-use gltf::json::{
-    material::{AlphaMode, Material as JsonMaterial},
-    validation::Checked,
-};
+use gltf::json::material::Material as JsonMaterial;
 use serde_json::Value;
 
 use super::{
@@ -22,7 +19,7 @@ pub(super) fn read_materials(document: &Document<'_>, verbatim: Vec<Value>, soup
     for (i, (material, source)) in document.root.materials.iter().zip(verbatim).enumerate() {
         let name = material.name.clone().unwrap_or_default();
         let base_texture = in_range(base_texture(&source), &label("material", i, &name), soup);
-        note_what_is_left_out(material, &source, soup);
+        note_what_is_left_out(&source, soup);
         soup.materials.push(Material {
             name,
             base_color: base_color(material, &source),
@@ -85,15 +82,11 @@ fn in_range(found: Option<TextureUse>, label: &str, soup: &mut Soup) -> Option<T
     None
 }
 
-fn note_what_is_left_out(material: &JsonMaterial, source: &Value, soup: &mut Soup) {
+fn note_what_is_left_out(source: &Value, soup: &mut Soup) {
     let has_base = base_texture(source).is_some();
     if texture_info::count(source) > usize::from(has_base) {
         let text = "pictures show base colours: normal, metallic-roughness, occlusion, emissive \
                     and other textures are carried, not evaluated";
         soup.notes.add("textures_not_evaluated", text);
-    }
-    if !matches!(material.alpha_mode, Checked::Valid(AlphaMode::Opaque)) {
-        let text = "alpha masks and blending are carried, but pictures show all opaque";
-        soup.notes.add("alpha_ignored", text);
     }
 }

@@ -1,6 +1,7 @@
-//! glTF 2.0, packed (GLB) or as JSON with embedded buffers: the default scene, flattened.
+//! glTF 2.0, packed (GLB) or as JSON with embedded buffers: the default scene, in world space.
 //!
-//! Every node that holds a mesh places it once, with the product of the transforms from the root.
+//! Every node that holds a mesh places it once, with the product of the transforms from the root,
+//! and is a part of its own of the mesh; the tree of nodes is kept by name.
 //! A transform that mirrors turns the triangles round, so that they stay counter-clockwise seen
 //! from outside. Skins, morph targets, animations, cameras and lights are left out with a note.
 //! Materials, textures and images keep their order, so that materials can be carried word for
@@ -75,7 +76,7 @@ fn read_document(source: &Source<'_>, json: &[u8], bin: Option<&[u8]>) -> Result
     texture::read_images(&document, &mut soup);
     texture::read_textures(&document, &verbatim.textures, &mut soup);
     material::read_materials(&document, verbatim.materials, &mut soup);
-    for placement in scene::placements(&document)? {
+    for placement in scene::placements(&document, &mut soup)? {
         primitive::read_mesh(&document, &mut soup, &placement)?;
     }
     note_what_is_left_out(&document.root, &mut soup);

@@ -91,6 +91,7 @@ fn read_primitive(
             Some(material) => check_material(document, material.value(), &place)?,
             None => default_material(document, soup),
         }),
+        part: placement.part,
         place,
     };
     transform_attributes(&mut patch, &placement.world_from_mesh);

@@ -1,26 +1,38 @@
-//! The node tree: which mesh stands where.
+//! The node tree: which mesh stands where, and under which names.
 
 use glam::{DMat4, DQuat, DVec3, Quat, Vec3};
 use gltf::json::{Index, Node};
 
-use super::{Document, IoError, REMEDY};
+use super::{Document, IoError, REMEDY, Soup};
+use crate::mesh;
 
 /// A mesh as a node places it.
 pub(super) struct Placement {
     pub(super) node: usize,
     pub(super) mesh: usize,
     pub(super) world_from_mesh: DMat4,
+    /// Index into the parts of the soup's tree.
+    pub(super) part: u32,
 }
 
+/// Characters of a name that are kept: names may stand in a file often.
+const MAX_NAME_CHARS: usize = 256;
+
+/// A node to visit: its index, the transform above it, and its parent in the soup's tree.
+type Visit = (usize, DMat4, Option<u32>);
+
 /// Depth first, in the order of the file. Nodes form trees: one that is reached twice is an error,
-/// which also ends cycles.
-pub(super) fn placements(document: &Document<'_>) -> Result<Vec<Placement>, IoError> {
+/// which also ends cycles. Fills in the soup's tree.
+pub(super) fn placements(
+    document: &Document<'_>,
+    soup: &mut Soup,
+) -> Result<Vec<Placement>, IoError> {
     let nodes = &document.root.nodes;
     let mut is_seen = vec![false; nodes.len()];
     let mut placements = Vec::new();
-    let mut stack: Vec<(usize, DMat4)> =
-        roots(document)?.into_iter().rev().map(|root| (root, DMat4::IDENTITY)).collect();
-    while let Some((index, world_from_parent)) = stack.pop() {
+    let roots = roots(document)?.into_iter().rev();
+    let mut stack: Vec<Visit> = roots.map(|root| (root, DMat4::IDENTITY, None)).collect();
+    while let Some((index, world_from_parent, parent)) = stack.pop() {
         let place = || format!("node {index}");
         let Some(node) = nodes.get(index) else {
             let n = nodes.len() as u64;
@@ -31,14 +43,23 @@ pub(super) fn placements(document: &Document<'_>) -> Result<Vec<Placement>, IoEr
             return Err(document.source.malformed(place(), problem, REMEDY));
         }
         let world_from_node = world_from_parent * parent_from_node(node);
+        let own = soup.tree.nodes.len() as u32;
+        soup.tree.nodes.push(mesh::Node { name: kept_name(node.name.as_deref()), parent });
         if let Some(mesh) = node.mesh {
             let (mesh, world_from_mesh) = (mesh.value(), world_from_node);
-            placements.push(Placement { node: index, mesh, world_from_mesh });
+            let part = soup.tree.parts.len() as u32;
+            placements.push(Placement { node: index, mesh, world_from_mesh, part });
+            let name = document.root.meshes.get(mesh).and_then(|m| m.name.as_deref());
+            soup.tree.parts.push(mesh::Part { node: own, mesh: kept_name(name) });
         }
         let children = node.children.iter().flatten().rev();
-        stack.extend(children.map(|child| (child.value(), world_from_node)));
+        stack.extend(children.map(|child| (child.value(), world_from_node, Some(own))));
     }
     Ok(placements)
+}
+
+fn kept_name(name: Option<&str>) -> String {
+    name.into_iter().flat_map(str::chars).take(MAX_NAME_CHARS).collect()
 }
 
 /// The roots of the default scene (or the first); of a file without scenes, the nodes that are

@@ -1,6 +1,7 @@
 //! Readers and writers together: formats, hostile input, round trips, the real models.
 
 mod archives;
+mod assemblies;
 mod bad_input;
 mod compressed;
 mod formats;
@@ -8,6 +9,7 @@ mod gltf_scenes;
 mod models;
 mod mutations;
 mod pictures;
+mod quantized;
 mod round_trip;
 mod textures;
 

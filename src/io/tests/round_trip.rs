@@ -31,7 +31,7 @@ fn content(mesh: &Mesh) -> Vec<FaceContent> {
 
 /// The square with a wedge of its own for each corner of the second face, all layers, and two
 /// materials of which the later comes first.
-fn rich_square() -> Mesh {
+pub(super) fn rich_square() -> Mesh {
     let layer = |semantic, width, value: fn(usize) -> f32| AttributeLayer {
         semantic,
         width,

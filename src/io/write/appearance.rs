@@ -128,6 +128,14 @@ impl Appearance {
         })
     }
 
+    /// Names an extension that the document has elsewhere.
+    pub(super) fn use_extension(&mut self, name: &str, is_required: bool) {
+        self.extensions_used.insert(name.to_owned());
+        if is_required {
+            self.extensions_required.insert(name.to_owned());
+        }
+    }
+
     /// Adds what is there: glTF allows no empty lists.
     pub(super) fn put_into(self, document: &mut Value) {
         let strings = |set: BTreeSet<String>| set.into_iter().map(Value::from).collect();

@@ -1,64 +1,168 @@
 //! GLB (glTF 2.0), valid by the rules of the Khronos validator.
 //!
-//! One primitive per material that faces use, in the order of materials; within it the faces keep
-//! their order. Each accessor has a buffer view of its own, in the order indices, positions,
-//! attributes; images follow (`appearance`). What glTF demands is put right on the way: normals and
-//! tangents are brought to length 1, colours into 0..=1, texture-coordinate and colour sets are
-//! numbered without gaps. Custom layers of up to four values are written as `_CUSTOM_n`.
+//! One mesh and node for each part that has triangles (`nodes`); in it one primitive per material
+//! that its faces use, in the order of materials; within that the faces keep their order. Each
+//! accessor has a buffer view of its own, in the order indices, positions, attributes (`store`);
+//! images follow (`appearance`). What glTF demands is put right on the way: normals and tangents are
+//! brought to length 1, colours into 0..=1, texture-coordinate and colour sets are numbered without
+//! gaps. Custom layers of up to four values are written as `_CUSTOM_n`.
 
 use glam::{DVec3, Vec3};
 use serde_json::{Value, json};
 
-use super::{IoError, appearance::Appearance, check, points::Points};
+use super::{
+    IoError,
+    appearance::Appearance,
+    check,
+    columns::Grid,
+    nodes::put_nodes,
+    points::Points,
+    store::{MESHOPT, Store},
+};
 use crate::{
     io::weld::{area_normals, unit_or_z},
     mesh::{AttributeLayer, FaceId, Mesh, Semantic},
 };
 
-const ARRAY_BUFFER: u32 = 34_962;
-const ELEMENT_ARRAY_BUFFER: u32 = 34_963;
-const UNSIGNED_SHORT: u32 = 5_123;
-const UNSIGNED_INT: u32 = 5_125;
-const FLOAT: u32 = 5_126;
+const QUANTIZATION: &str = "KHR_mesh_quantization";
+const LOD: &str = "MSFT_lod";
 /// How far from 1 a squared length may be and still count as unit (single precision rounds).
 const UNIT_TOLERANCE: f32 = 1e-5;
 
-/// Writes the mesh as one node with one mesh.
+/// How much room numbers take.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct GlbOptions {
+    /// Integers (KHR_mesh_quantization): positions and texture coordinates of 16 bits, normals of 8.
+    pub quantize: bool,
+    /// Compressed too (EXT_meshopt_compression); implies `quantize`.
+    pub compress: bool,
+}
+
+/// One of several levels of detail in a file.
+#[derive(Clone, Copy, Debug)]
+pub struct GlbLevel<'a> {
+    /// Name of its node.
+    pub name: &'a str,
+    /// What it shows; all levels have the materials, textures and images of the first.
+    pub mesh: &'a Mesh,
+    /// The least share of the screen at which it is shown.
+    pub screen_coverage: f64,
+}
+
+/// Writes the mesh, with the nodes that its parts come from.
 ///
 /// # Errors
 /// [`IoError::Unwritable`] for a mesh without triangles, one that breaks its invariants, or one
 /// over the 4 GiB of the format.
 pub fn write_glb(mesh: &Mesh) -> Result<Vec<u8>, IoError> {
-    check("GLB", mesh)?;
-    let mut file = Builder::default();
-    let mut faces_of_material = vec![Vec::new(); mesh.materials.len().max(1)];
-    for face in 0..mesh.faces.len() as u32 {
-        faces_of_material[mesh.material_of(FaceId(face)) as usize].push(face);
-    }
-    let used = faces_of_material.iter().enumerate().filter(|(_, faces)| !faces.is_empty());
-    let primitives: Vec<Value> =
-        used.map(|(material, faces)| file.primitive(mesh, material, faces)).collect();
-    let appearance = Appearance::of(mesh, &mut |bytes| file.view(bytes, None));
-    let document = file.document(&primitives, appearance);
-    pack(document.to_string().into_bytes(), &file.bin)
+    write_glb_with(mesh, GlbOptions::default())
 }
 
-/// The binary chunk and the tables that describe it.
-#[derive(Default)]
+/// Likewise, with other options.
+///
+/// # Errors
+/// As [`write_glb`].
+pub fn write_glb_with(mesh: &Mesh, options: GlbOptions) -> Result<Vec<u8>, IoError> {
+    check("GLB", mesh)?;
+    let mut file = Builder::new(&[mesh], options);
+    let roots = file.level(mesh)?;
+    roots.iter().for_each(|root| file.undo_grid(*root));
+    file.finish(mesh, &roots)
+}
+
+/// Writes several levels into one file, the finest first (MSFT_lod): each has a node of its own at
+/// the top, and the finest one, which alone is in the scene, names the others.
+///
+/// # Errors
+/// As [`write_glb`], for any of the levels, or where there is none.
+pub fn write_lods(levels: &[GlbLevel<'_>], options: GlbOptions) -> Result<Vec<u8>, IoError> {
+    let Some(finest) = levels.first() else {
+        let problem = "there is no level".to_owned();
+        return Err(IoError::Unwritable { format: "GLB", problem });
+    };
+    levels.iter().try_for_each(|level| check("GLB", level.mesh))?;
+    let meshes: Vec<&Mesh> = levels.iter().map(|level| level.mesh).collect();
+    let mut file = Builder::new(&meshes, options);
+    let mut tops = Vec::with_capacity(levels.len());
+    for level in levels {
+        let children = file.level(level.mesh)?;
+        tops.push(file.nodes.len());
+        file.nodes.push(json!({ "name": level.name, "children": children }));
+        file.undo_grid(file.nodes.len() - 1);
+    }
+    let coverage: Vec<f64> = levels.iter().map(|level| level.screen_coverage).collect();
+    let first = &mut file.nodes[tops[0]];
+    first["extras"] = json!({ "MSFT_screencoverage": coverage });
+    if tops.len() > 1 {
+        first["extensions"] = json!({ LOD: { "ids": tops[1..] } });
+        file.extensions.push((LOD, false));
+    }
+    file.finish(finest.mesh, &tops[..1])
+}
+
+/// A document under construction.
 struct Builder {
-    bin: Vec<u8>,
-    views: Vec<Value>,
-    accessors: Vec<Value>,
+    store: Store,
+    meshes: Vec<Value>,
+    nodes: Vec<Value>,
+    grid: Option<Grid>,
+    /// Names of extensions, and whether a reader must know them.
+    extensions: Vec<(&'static str, bool)>,
 }
 
 impl Builder {
-    fn primitive(&mut self, mesh: &Mesh, material: usize, faces: &[u32]) -> Value {
-        let points = Points::of(mesh, faces);
-        let indices = self.indices(&points);
+    fn new(meshes: &[&Mesh], options: GlbOptions) -> Self {
+        let store = Store::new(options);
+        let GlbOptions { quantize, compress } = store.options;
+        let used = [(QUANTIZATION, quantize), (MESHOPT, compress)];
+        Self {
+            grid: quantize.then(|| Grid::of(meshes)),
+            store,
+            meshes: Vec::new(),
+            nodes: Vec::new(),
+            extensions: used.into_iter().filter(|(_, is_used)| *is_used).collect(),
+        }
+    }
+
+    /// Adds meshes and nodes of a level; returns the nodes at its top.
+    fn level(&mut self, mesh: &Mesh) -> Result<Vec<usize>, IoError> {
+        let key = |f: u32| (mesh.part_of(FaceId(f)), mesh.material_of(FaceId(f)));
+        let mut faces: Vec<u32> = (0..mesh.faces.len() as u32).collect();
+        faces.sort_by_key(|f| key(*f));
+        let mut mesh_of_part = Vec::new();
+        for of_part in faces.chunk_by(|a, b| key(*a).0 == key(*b).0) {
+            let part = key(of_part[0]).0 as usize;
+            let by_material = of_part.chunk_by(|a, b| key(*a) == key(*b));
+            let primitives: Result<Vec<Value>, _> =
+                by_material.map(|faces| self.primitive(mesh, key(faces[0]).1, faces)).collect();
+            let mut value = json!({ "primitives": primitives? });
+            if let Some(part) = mesh.tree.parts.get(part).filter(|part| !part.mesh.is_empty()) {
+                value["name"] = part.mesh.clone().into();
+            }
+            mesh_of_part.resize(part, None);
+            mesh_of_part.push(Some(self.meshes.len()));
+            self.meshes.push(value);
+        }
+        Ok(put_nodes(&mut self.nodes, &mesh.tree, &mesh_of_part))
+    }
+
+    /// Brings the steps of the grid, if there is one, back below a node.
+    fn undo_grid(&mut self, node: usize) {
+        self.grid.iter().for_each(|grid| grid.put_transform(&mut self.nodes[node]));
+    }
+
+    fn primitive(&mut self, mesh: &Mesh, material: u32, faces: &[u32]) -> Result<Value, IoError> {
+        let mut points = Points::of(mesh, faces);
+        if self.store.options.compress {
+            points.reorder();
+        }
+        let indices = self.store.indices(&points)?;
         let mut attributes = serde_json::Map::new();
-        attributes.insert("POSITION".to_owned(), self.positions(mesh, &points).into());
+        let positions = self.store.positions(mesh, &points, self.grid.as_ref())?;
+        attributes.insert("POSITION".to_owned(), positions.into());
         let mut sets = [0, 0];
-        for layer in sorted_layers(mesh) {
+        // glTF has no type for other widths.
+        for layer in sorted_layers(mesh).into_iter().filter(|l| (1..=4).contains(&l.width)) {
             let name = match layer.semantic {
                 Semantic::Normal => "NORMAL".to_owned(),
                 Semantic::Tangent => "TANGENT".to_owned(),
@@ -67,96 +171,35 @@ impl Builder {
                 Semantic::Custom(id) => format!("_CUSTOM_{id}"),
             };
             let values = file_values(layer, mesh, &points);
-            if let Some(accessor) = self.attribute(&values, layer.width, points.len()) {
-                attributes.insert(name, accessor.into());
-            }
+            let accessor = self.store.attribute(layer.semantic, &values, layer.width)?;
+            attributes.insert(name, accessor.into());
         }
         let mut primitive = json!({ "attributes": attributes, "indices": indices, "mode": 4 });
         if !mesh.materials.is_empty() {
             primitive["material"] = material.into();
         }
-        primitive
+        Ok(primitive)
     }
 
-    /// 16-bit indices where they suffice; 65,535 is reserved for restarts.
-    fn indices(&mut self, points: &Points) -> usize {
-        let flat = points.triangles.iter().flatten();
-        let (component, bytes): (u32, Vec<u8>) = if u16::try_from(points.len()).is_ok() {
-            (UNSIGNED_SHORT, flat.flat_map(|i| (*i as u16).to_le_bytes()).collect())
-        } else {
-            (UNSIGNED_INT, flat.flat_map(|i| i.to_le_bytes()).collect())
-        };
-        let accessor = json!({
-            "bufferView": self.view(&bytes, Some(ELEMENT_ARRAY_BUFFER)),
-            "componentType": component,
-            "count": points.triangles.len() * 3,
-            "type": "SCALAR",
-        });
-        self.push_accessor(accessor)
-    }
-
-    fn positions(&mut self, mesh: &Mesh, points: &Points) -> usize {
-        let positions: Vec<Vec3> = points.positions(mesh).map(|p: DVec3| p.as_vec3()).collect();
-        let first = positions.first().copied().unwrap_or(Vec3::ZERO);
-        let (min, max) =
-            positions.iter().fold((first, first), |(lo, hi), p| (lo.min(*p), hi.max(*p)));
-        let values: Vec<f32> = positions.iter().flat_map(Vec3::to_array).collect();
-        let accessor = json!({
-            "bufferView": self.view(bytemuck::cast_slice(&values), Some(ARRAY_BUFFER)),
-            "componentType": FLOAT,
-            "count": points.len(),
-            "type": "VEC3",
-            "min": min.to_array(),
-            "max": max.to_array(),
-        });
-        self.push_accessor(accessor)
-    }
-
-    /// `None` for a width that glTF has no type for.
-    fn attribute(&mut self, values: &[f32], width: usize, count: usize) -> Option<usize> {
-        let kind = ["SCALAR", "VEC2", "VEC3", "VEC4"].get(width.checked_sub(1)?)?;
-        let accessor = json!({
-            "bufferView": self.view(bytemuck::cast_slice(values), Some(ARRAY_BUFFER)),
-            "componentType": FLOAT,
-            "count": count,
-            "type": kind,
-        });
-        Some(self.push_accessor(accessor))
-    }
-
-    /// Images have no target.
-    fn view(&mut self, bytes: &[u8], target: Option<u32>) -> usize {
-        let offset = self.bin.len();
-        self.bin.extend_from_slice(bytes);
-        // Views begin at multiples of four; the padding belongs to no view.
-        self.bin.resize(self.bin.len().next_multiple_of(4), 0);
-        let mut view = json!({ "buffer": 0, "byteOffset": offset, "byteLength": bytes.len() });
-        if let Some(target) = target {
-            view["target"] = target.into();
+    /// The file: `mesh` gives the materials, the scene has these nodes.
+    fn finish(mut self, mesh: &Mesh, scene: &[usize]) -> Result<Vec<u8>, IoError> {
+        let mut appearance = Appearance::of(mesh, &mut |bytes| self.store.view(bytes));
+        for (name, is_required) in &self.extensions {
+            appearance.use_extension(name, *is_required);
         }
-        self.views.push(view);
-        self.views.len() - 1
-    }
-
-    fn push_accessor(&mut self, accessor: Value) -> usize {
-        self.accessors.push(accessor);
-        self.accessors.len() - 1
-    }
-
-    fn document(&self, primitives: &[Value], appearance: Appearance) -> Value {
         let generator = concat!("Lookalike ", env!("CARGO_PKG_VERSION"));
         let mut document = json!({
             "asset": { "version": "2.0", "generator": generator },
             "scene": 0,
-            "scenes": [{ "nodes": [0] }],
-            "nodes": [{ "mesh": 0 }],
-            "meshes": [{ "primitives": primitives }],
-            "accessors": self.accessors,
-            "bufferViews": self.views,
-            "buffers": [{ "byteLength": self.bin.len() }],
+            "scenes": [{ "nodes": scene }],
+            "nodes": self.nodes,
+            "meshes": self.meshes,
+            "accessors": self.store.accessors,
+            "bufferViews": self.store.views,
+            "buffers": self.store.buffers(),
         });
         appearance.put_into(&mut document);
-        document
+        pack(document.to_string().into_bytes(), &self.store.bin)
     }
 }
 

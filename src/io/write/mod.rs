@@ -2,15 +2,18 @@
 //!
 //! Files know no wedges: each distinct (vertex, wedge) pair that a face uses becomes one vertex
 //! of the file, in the order of wedges and vertices, and the reader joins them again. Positions
-//! are rounded to single precision (PLY can keep double).
+//! are rounded to single precision (PLY can keep double, GLB may quantize them).
 
 mod appearance;
+mod columns;
 mod glb;
+mod nodes;
 mod obj;
 mod ply;
 mod points;
+mod store;
 
-pub use glb::write_glb;
+pub use glb::{GlbLevel, GlbOptions, write_glb, write_glb_with, write_lods};
 pub use obj::write_obj;
 pub use ply::{PlyPositions, write_ply};
 
@@ -44,6 +47,12 @@ fn check(format: &'static str, mesh: &Mesh) -> Result<(), IoError> {
     }
     if !mesh.face_materials.is_empty() && mesh.face_materials.len() != mesh.faces.len() {
         return Err(bad("not every triangle has a material"));
+    }
+    if !mesh.face_parts.is_empty() && mesh.face_parts.len() != mesh.faces.len() {
+        return Err(bad("not every triangle has a part"));
+    }
+    if mesh.face_parts.iter().any(|part| *part as usize >= mesh.n_parts()) {
+        return Err(bad("a triangle names a part that is not there"));
     }
     Ok(())
 }

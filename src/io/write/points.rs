@@ -27,6 +27,20 @@ impl Points {
         Self { corners, triangles }
     }
 
+    /// Puts triangles and points in an order that compresses well.
+    pub(super) fn reorder(&mut self) {
+        let n = self.len();
+        let corners = meshopt::optimize_vertex_cache(self.triangles.as_flattened(), n);
+        let new_ids = meshopt::optimize_vertex_fetch_remap(&corners, n);
+        let mut reordered = self.corners.clone();
+        for (old, new) in new_ids.iter().enumerate() {
+            reordered[*new as usize] = self.corners[old];
+        }
+        let renumbered = |t: &[u32; 3]| t.map(|v| new_ids[v as usize]);
+        self.triangles = corners.as_chunks().0.iter().map(renumbered).collect();
+        self.corners = reordered;
+    }
+
     pub(super) fn len(&self) -> usize {
         self.corners.len()
     }

@@ -2,11 +2,13 @@
 
 mod levels;
 mod optimize;
+mod output;
 
 use serde::{Deserialize, Serialize};
 
 pub use levels::LevelBudget;
 pub use optimize::{Optimize, Solver};
+pub use output::Output;
 
 /// How the levels are made.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -193,6 +195,9 @@ pub struct Spec {
     /// What is done to each level once it is simplified.
     #[serde(default)]
     pub optimize: Optimize,
+    /// How levels are written.
+    #[serde(default, skip_serializing_if = "Output::is_plain")]
+    pub output: Output,
     /// Upper bound on energy evaluations of the whole job; 0 means none.
     #[serde(default)]
     pub max_evaluations: u64,
@@ -233,6 +238,7 @@ impl Spec {
             hard_edge_degrees: default_hard_edge_degrees(),
             render: Render::default(),
             optimize: Optimize::default(),
+            output: Output::default(),
             max_evaluations: 0,
             max_secs: 0.0,
             seed: 0,

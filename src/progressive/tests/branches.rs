@@ -117,7 +117,8 @@ fn a_mesh_that_another_tool_simplified_is_edited() {
 #[test]
 fn edits_come_in_order_and_begin_at_the_level() {
     let mut rng = Rng(9);
-    let mesh = grid(3, Extras { layers: true, materials: false, ugly: false }, &mut rng);
+    let mesh =
+        grid(3, Extras { layers: true, materials: false, parts: false, ugly: false }, &mut rng);
     let (levels, collapses) = sequence(&mesh, 4, &mut rng);
     let mut edited = EditMesh::new(mesh.clone()).unwrap();
     let edits = [DVec3::X, DVec3::Y].map(|to| edited.displace(VertexId(0), to));
@@ -147,7 +148,8 @@ fn edits_come_in_order_and_begin_at_the_level() {
 #[test]
 fn the_nearest_level_is_the_edited_one_if_it_fits() {
     let mut rng = Rng(2);
-    let mesh = grid(5, Extras { layers: false, materials: false, ugly: false }, &mut rng);
+    let mesh =
+        grid(5, Extras { layers: false, materials: false, parts: false, ugly: false }, &mut rng);
     let (levels, collapses) = sequence(&mesh, 12, &mut rng);
     let mut writer = Writer::new(&mesh).unwrap();
     collapses[..6].iter().for_each(|c| writer.push(c).unwrap());

@@ -18,6 +18,7 @@ fn file(seed: u64) -> Vec<u8> {
     let extras = Extras {
         layers: seed.is_multiple_of(2),
         materials: seed.is_multiple_of(3),
+        parts: seed < 3,
         ugly: seed.is_multiple_of(5),
     };
     let mesh = grid(5, extras, &mut rng);
@@ -62,12 +63,15 @@ fn read_all(bytes: &[u8]) -> Result<usize, ProgressiveError> {
 /// The file with one stream of one section changed and every checksum right.
 fn forge(bytes: &[u8], part: usize, stream: usize, edit: impl Fn(&mut Vec<u8>)) -> Vec<u8> {
     let (mut header, body) = Header::parse(bytes, &ReadLimits::default()).unwrap();
-    let old: Vec<_> = std::iter::once(header.base)
+    let old: Vec<_> = header
+        .parts
+        .into_iter()
+        .chain([header.base])
         .chain(blocks(&mut header).into_iter().map(|block| block.section))
         .collect();
     let n = old.len();
     // Images come first.
-    let mut new_body = body[..header.base.offset as usize].to_vec();
+    let mut new_body = body[..old[0].offset as usize].to_vec();
     let mut sections = Vec::new();
     for (i, section) in old.iter().enumerate() {
         let mut streams = Streams::unpack(section, body, "x").unwrap();
@@ -80,9 +84,11 @@ fn forge(bytes: &[u8], part: usize, stream: usize, edit: impl Fn(&mut Vec<u8>)) 
         }
         sections.push(streams.pack(&mut new_body).unwrap());
     }
-    header.base = sections[0];
-    for (block, section) in blocks(&mut header).into_iter().zip(&sections[1..]) {
-        block.section = *section;
+    let mut sections = sections.into_iter();
+    header.parts = header.parts.and_then(|_| sections.next());
+    header.base = sections.next().unwrap();
+    for (block, section) in blocks(&mut header).into_iter().zip(sections) {
+        block.section = section;
     }
     let mut file = header.to_bytes().unwrap();
     file.append(&mut new_body);
@@ -142,7 +148,7 @@ proptest! {
     }
 
     #[test]
-    fn forged_headers_never_panic(seed in 0..6_u64, field in 0..19_usize, value in any::<u32>()) {
+    fn forged_headers_never_panic(seed in 0..6_u64, field in 0..21_usize, value in any::<u32>()) {
         let bytes = file(seed);
         let (mut header, body) = Header::parse(&bytes, &ReadLimits::default()).unwrap();
         let value = value >> (value % 29);
@@ -160,6 +166,8 @@ proptest! {
             10 | 11 => header.images.iter_mut().for_each(|image| image.blob = Some(value)),
             12 => header.blobs.iter_mut().for_each(|blob| blob.n_bytes = value.into()),
             13 => header.blobs.iter_mut().for_each(|blob| blob.offset = value.into()),
+            19 => header.parts.iter_mut().for_each(|s| s.raw[value as usize % 3] = value),
+            20 => header.parts.iter_mut().for_each(|s| s.offset = value.into()),
             14 => header.textures.iter_mut().for_each(|texture| texture.image = Some(value)),
             _ => {
                 let edits = header.levels[0].edits.as_mut().unwrap();
@@ -238,19 +246,44 @@ fn images_are_checked() {
         let error = read_all(&forged).unwrap_err().to_string();
         assert!(error.contains(said), "{said}: {error}");
     }
-    // A file from before textures has none of the fields.
+    // A file from before textures and parts has none of the fields.
     let mut old = header;
-    (old.images, old.blobs, old.textures) = Default::default();
+    (old.images, old.blobs, old.textures, old.parts) = Default::default();
     let old = [old.to_bytes().unwrap(), body.to_vec()].concat();
     assert!(read_all(&old).is_ok());
     let json = String::from_utf8_lossy(&old).into_owned();
     assert!(!json.contains("\"images\"") && !json.contains("\"blobs\""));
+    assert!(!json.contains("\"parts\""));
+}
+
+/// Each triangle has one part, or all have the same.
+#[test]
+fn parts_are_checked() {
+    let good = file(0);
+    let n_faces = Reader::open(&good).unwrap().header().n_faces as u8;
+    for (runs, said) in [
+        (&[][..], None),
+        (&[3, n_faces], None),
+        (&[4, n_faces], Some("a triangle names a part that is not there")),
+        (&[1, n_faces - 1, 0, 1], None),
+        (&[1, n_faces - 1], Some("fewer parts than triangles")),
+        (&[1, n_faces - 1, 0, 2], Some("more parts than triangles")),
+        (&[1], Some("the data end too early")),
+    ] {
+        // The section of parts is the first one.
+        let forged = forge(&good, 0, 1, |ids| runs.clone_into(ids));
+        let error = read_all(&forged).err().map(|error| error.to_string());
+        let wanted = said.map(|said| format!("parts: {said}; the file is damaged"));
+        assert_eq!(error, wanted, "{runs:?}");
+    }
+    let forged = forge(&good, 0, 0, |json| *json = b"{\"nodes\": 1}".to_vec());
+    assert!(read_all(&forged).unwrap_err().to_string().starts_with("parts: invalid type"));
 }
 
 /// A material whose JSON could not be read again is refused at once.
 #[test]
 fn materials_must_be_readable() {
-    let extras = Extras { layers: false, materials: true, ugly: false };
+    let extras = Extras { layers: false, materials: true, parts: true, ugly: false };
     let nested = |depth| (0..depth).fold(json!(1), |inner, _| json!([inner]));
     let of_source = |source| {
         let mut mesh = grid(2, extras, &mut Rng(1));

@@ -144,7 +144,8 @@ proptest! {
 fn one<T>(find: impl Fn(EditRecord) -> Option<T>) -> (Mesh, Replay, T) {
     for seed in 0.. {
         let mut rng = Rng(seed);
-        let mesh = grid(4, Extras { layers: true, materials: true, ugly: false }, &mut rng);
+        let mesh =
+            grid(4, Extras { layers: true, materials: true, parts: true, ugly: false }, &mut rng);
         let mut edited = EditMesh::new(mesh.clone()).unwrap();
         if let Some(record) = random_edit(&mut edited, &mut rng).and_then(&find) {
             let replay = Replay::from_mesh(&mesh).unwrap();

@@ -4,8 +4,8 @@ use glam::DVec3;
 use serde_json::json;
 
 use crate::mesh::{
-    AttributeLayer, Collapse, Corner, FaceId, Image, Material, Mesh, RemovedFace, Rewedged,
-    Semantic, Texture, TextureUse, VertexId, WedgeId, Wrap,
+    AttributeLayer, Collapse, Corner, FaceId, Image, Material, Mesh, Node, Part, RemovedFace,
+    Rewedged, Semantic, Texture, TextureUse, Tree, VertexId, WedgeId, Wrap,
 };
 
 /// A small random number generator (SplitMix64), so that a sequence is given by one seed.
@@ -175,6 +175,7 @@ impl Plain {
             begin += layer.width;
         }
         let materials = &self.source.face_materials;
+        let parts = &self.source.face_parts;
         Mesh {
             positions: used_vertices.iter().map(|v| self.positions[*v as usize]).collect(),
             faces: faces.iter().map(|f| f.map(|v| place(&used_vertices, v))).collect(),
@@ -184,15 +185,19 @@ impl Plain {
             materials: self.source.materials.clone(),
             textures: self.source.textures.clone(),
             images: self.source.images.clone(),
+            face_parts: alive.iter().filter_map(|(i, _)| parts.get(*i).copied()).collect(),
+            tree: self.source.tree.clone(),
         }
     }
 }
 
 /// What a test mesh has beside positions and faces.
 #[derive(Clone, Copy, Debug)]
+#[expect(clippy::struct_excessive_bools, reason = "independent properties of a test mesh")]
 pub(super) struct Extras {
     pub(super) layers: bool,
     pub(super) materials: bool,
+    pub(super) parts: bool,
     /// Third triangles on edges, vertices and wedges that no face uses.
     pub(super) ugly: bool,
 }
@@ -236,7 +241,20 @@ pub(super) fn grid(n: usize, extras: Extras, rng: &mut Rng) -> Mesh {
             .collect();
         add_textures(&mut mesh);
     }
+    if extras.parts {
+        add_parts(&mut mesh);
+    }
     mesh
+}
+
+/// Parts in runs and alone, below a node that places none; one part has no triangle.
+fn add_parts(mesh: &mut Mesh) {
+    mesh.face_parts = mesh.faces.iter().map(|f| [0, 2, 3, 2][f[0] as usize / 3 % 4]).collect();
+    let node = |name: &str, parent| Node { name: name.to_owned(), parent };
+    let nodes = [node("root", None), node("", Some(0)), node("a \"b\" ü", Some(0)), node("", None)];
+    let part = |node| Part { node, mesh: format!("mesh {node}") };
+    let parts = vec![part(1), part(2), part(3), part(0)];
+    mesh.tree = Tree { nodes: nodes.to_vec(), parts }.into();
 }
 
 /// Of four images the second has no bytes, the last shares those of the first.

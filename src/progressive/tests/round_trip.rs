@@ -33,7 +33,12 @@ pub(super) fn assert_same(found: &Mesh, expected: &Mesh) {
 }
 
 pub(super) fn extras() -> impl Strategy<Value = Extras> {
-    any::<[bool; 3]>().prop_map(|[layers, materials, ugly]| Extras { layers, materials, ugly })
+    any::<[bool; 4]>().prop_map(|[layers, materials, parts, ugly]| Extras {
+        layers,
+        materials,
+        parts,
+        ugly,
+    })
 }
 
 proptest! {
@@ -122,7 +127,8 @@ proptest! {
 #[test]
 fn misfits_are_refused_and_change_nothing() {
     let mut rng = Rng(7);
-    let mesh = grid(4, Extras { layers: true, materials: true, ugly: false }, &mut rng);
+    let mesh =
+        grid(4, Extras { layers: true, materials: true, parts: true, ugly: false }, &mut rng);
     let (levels, records) = sequence(&mesh, 10, &mut rng);
     let change: [fn(&mut Collapse); 12] = [
         |c| c.keep = c.drop,
@@ -159,7 +165,8 @@ fn misfits_are_refused_and_change_nothing() {
 
 #[test]
 fn a_file_without_records_is_the_mesh() {
-    let mesh = grid(3, Extras { layers: true, materials: true, ugly: true }, &mut Rng(1));
+    let mesh =
+        grid(3, Extras { layers: true, materials: true, parts: true, ugly: true }, &mut Rng(1));
     let file = file_of(&mesh, &[]);
     let reader = Reader::open(&file).unwrap();
     assert_same(&reader.extract(u32::MAX).unwrap(), &mesh);

@@ -6,7 +6,8 @@
 //!   luminance plane with 16 fraction bits, and how many words further on its texture is described (0: it has
 //!   none);
 //! - a texture on a triangle is six words: three planes with 16 fraction bits, with the first of them the level's
-//!   place and with the second log2 of its width and height; then `from`, `to` and `range` of [`Painted`];
+//!   place and with the second log2 of its width and height; then `from`, `to` and `range` of [`Painted`], and
+//!   its holes (0: it has none);
 //! - the ids of the triangles that go are padded with `NIL` to whole words;
 //! - an item is two words: see `Item` in item.wgsl.
 
@@ -231,7 +232,12 @@ pub(super) fn paint_words(paint: &Painted) -> [Word; PAINT_WORDS] {
         plane(2),
         pairs(paint.from, paint.to[0]),
         pairs(paint.to[1], [x[0], y[0]]),
-        pairs([x[1], y[1]], [0, 0]),
+        [
+            x[1] as u32,
+            y[1] as u32,
+            paint.holes.map_or(0, |h| h.at),
+            paint.holes.map_or(0, |h| h.least),
+        ],
     ]
 }
 

@@ -26,7 +26,7 @@ fn append(
     let t = load_triangle(band.x);
     for (var j = i32(band.y); j <= i32(band.z); j += 1) {
         for (var i = t.low.x; i <= t.high.x; i += 1) {
-            if covers(t, i, j) {
+            if shows(t, band.x, i, j) {
                 push(u32(j * params.size + i), t.face, fragment_of(t, band.x, i, j));
             }
         }

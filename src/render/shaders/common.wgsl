@@ -110,6 +110,39 @@ fn painted(at: u32, further: u32, lum: u32, i: i32, j: i32) -> u32 {
     if further == 0u {
         return lum;
     }
+    let seen = look_up(at, further, word(at + further).w, i, j);
+    return (lum * seen * 257u + 32768u) >> 16u;
+}
+
+// Whether the texture has a hole there.
+fn is_hole(at: u32, further: u32, i: i32, j: i32) -> bool {
+    if further == 0u {
+        return false;
+    }
+    let holes = word(at + further + 5u).zw;
+    if holes.x == 0u {
+        return false;
+    }
+    let least = select(holes.y, dither(u32(i), u32(j)), holes.y == 0u);
+    return look_up(at, further, holes.x, i, j) < least;
+}
+
+fn dither(i: u32, j: u32) -> u32 {
+    let x = i ^ j;
+    let rank = (x & 1u) << 5u | (j & 1u) << 4u | (x & 2u) << 2u | (j & 2u) << 1u | (x & 4u) >> 1u | (j & 4u) >> 2u;
+    return 4u * rank + 2u;
+}
+
+// Whether the triangle at `at`, holes left out, covers a pixel.
+fn shows(t: Triangle, at: u32, i: i32, j: i32) -> bool {
+    if !covers(t, i, j) {
+        return false;
+    }
+    return !is_hole(at, word(at + 2u).w, i, j);
+}
+
+// What the texture, of whose level the first word is given, holds there.
+fn look_up(at: u32, further: u32, first: u32, i: i32, j: i32) -> u32 {
     let near_plane = word(at + further);
     let one_plane = word(at + further + 1u);
     let near = u32(at_pixel(bitcast<vec3<i32>>(near_plane.xyz), i, j) >> 16u);
@@ -125,15 +158,14 @@ fn painted(at: u32, further: u32, lum: u32, i: i32, j: i32) -> u32 {
     let place = clamp(ends.xy + ((by + (1 << 14u)) >> vec2<u32>(15u)), rest.zw, high.xy);
     let bits = vec2<u32>(one_plane.w & 0xffu, one_plane.w >> 8u);
     let whole = vec2<u32>(place >> vec2<u32>(6u)) & ((vec2<u32>(1u) << bits) - 1u);
-    let texel = near_plane.w + (whole.y << bits.x) + whole.x;
+    let texel = first + (whole.y << bits.x) + whole.x;
     let column = texel & ((1u << TEXELS_WIDTH_BITS) - 1u);
     let four = textureLoad(texels, vec2<u32>(column, texel >> TEXELS_WIDTH_BITS)).x;
     let share = vec2<u32>(place & vec2<i32>(63));
     let left = vec2<u32>(four & 0xffu, (four >> 16u) & 0xffu);
     let right = vec2<u32>((four >> 8u) & 0xffu, four >> 24u);
     let across = left * (64u - share.x) + right * share.x;
-    let seen = (across.x * (64u - share.y) + across.y * share.y + 2048u) >> 12u;
-    return (lum * seen * 257u + 32768u) >> 16u;
+    return (across.x * (64u - share.y) + across.y * share.y + 2048u) >> 12u;
 }
 
 // z << 16 | luminance << 8 of a covered pixel. The host scaled both planes to 16 fraction bits;

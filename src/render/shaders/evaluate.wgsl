@@ -10,7 +10,9 @@ const COLUMN = vec4<i32>(0, 1, 0, 1);
 const ROW = vec4<i32>(0, 0, 1, 1);
 
 fn raster(item: Item, rank: u32) {
-    let t = load_triangle(item.added_at + 3u * rank);
+    let at = item.added_at + 3u * rank;
+    let t = load_triangle(at);
+    let further = word(at + 2u).w;
     let corner = vec2<i32>(item.x, item.y);
     let last = 2 * vec2<i32>(vec2<u32>(item.n_columns, item.n_rows)) - 1;
     let low = max(t.low - corner, vec2<i32>(0)) >> vec2<u32>(1u);
@@ -23,8 +25,15 @@ fn raster(item: Item, rank: u32) {
             let b = t.edge_b.x + t.edge_b.y * i + t.edge_b.z * j;
             let c = t.edge_c.x + t.edge_c.y * i + t.edge_c.z * j;
             let z = bitcast<vec4<u32>>(t.depth.x + t.depth.y * i + t.depth.z * j);
-            let key = (z & vec4<u32>(0xffff0000u)) | vec4<u32>(rank)
+            var key = (z & vec4<u32>(0xffff0000u)) | vec4<u32>(rank)
                 | bitcast<vec4<u32>>((a | b | c) >> vec4<u32>(31u));
+            if further != 0u {
+                for (var k = 0u; k < 4u; k += 1u) {
+                    if key[k] != OUTSIDE && is_hole(at, further, i[k], j[k]) {
+                        key[k] = OUTSIDE;
+                    }
+                }
+            }
             let slot = u32(row) * item.n_columns + u32(column);
             nearest[slot] = min(nearest[slot], key);
         }

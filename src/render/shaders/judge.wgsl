@@ -42,7 +42,7 @@ fn nearest_that_comes(item: Item, at: vec2<i32>) -> vec2<u32> {
         let fragment = fragment_of(t, place, at.x, at.y);
         // Triangles come by ascending id, so the first of equals is the nearest.
         let nearer = fragment >> 16u < best.y >> 16u || best.x == NO_FACE;
-        if nearer && covers(t, at.x, at.y) {
+        if nearer && shows(t, place, at.x, at.y) {
             best = vec2<u32>(t.face, fragment);
         }
     }

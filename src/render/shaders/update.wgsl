@@ -81,7 +81,7 @@ fn enter_triangle(item: Item, at: u32) {
     var any_full = false;
     for (var j = low.y; j <= end.y; j += 1) {
         for (var i = low.x; i <= end.x; i += 1) {
-            if covers(t, i, j) {
+            if shows(t, at, i, j) {
                 let p = Pixel(vec2<i32>(i, j), item.view);
                 let four = load_four(p);
                 any_full |= is_full(four);
@@ -97,7 +97,7 @@ fn enter_triangle(item: Item, at: u32) {
             let four = load_four(p);
             // Where the loop above filled the list up, the triangle is among the four.
             let is_new = all(four.face != vec4<u32>(t.face));
-            if covers(t, i, j) && is_full(four) && is_new {
+            if is_full(four) && is_new && shows(t, at, i, j) {
                 _ = insert(p, t.face, fragment_of(t, at, i, j));
             }
         }

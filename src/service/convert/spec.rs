@@ -2,8 +2,8 @@
 
 use super::{mesh_hash, mesh_name, v1};
 use crate::jobs::spec::{
-    Effort, Fault, Input, Lock, Method, Optimize, Projection, Render, Shading, Solver, Spec,
-    Topology,
+    Effort, Fault, Input, Lock, Method, Optimize, Output, Projection, Render, Shading, Solver,
+    Spec, Topology,
 };
 
 const METHODS: [(v1::Method, Method); 3] = [
@@ -93,6 +93,7 @@ fn simplify_to_wire(spec: &Spec) -> v1::SimplifySpec {
         max_evaluations: spec.max_evaluations,
         max_secs: spec.max_secs,
         seed: spec.seed,
+        output: Some(output_to_wire(spec.output)),
     }
 }
 
@@ -108,7 +109,12 @@ fn optimize_to_wire(spec: &Spec, input: &Input) -> v1::OptimizeSpec {
         topology: to_wire(&TOPOLOGIES, spec.topology),
         lock: locks_to_wire(spec),
         hard_edge_degrees: Some(spec.hard_edge_degrees),
+        output: Some(output_to_wire(spec.output)),
     }
+}
+
+fn output_to_wire(output: Output) -> v1::Output {
+    v1::Output { quantize: output.quantize, compress: output.compress }
 }
 
 fn locks_to_wire(spec: &Spec) -> Vec<i32> {
@@ -177,6 +183,7 @@ fn simplify_from_wire(wire: v1::SimplifySpec, faults: &mut Vec<Fault>) -> Spec {
         max_evaluations: wire.max_evaluations,
         max_secs: wire.max_secs,
         seed: wire.seed,
+        output: output_from_wire(wire.output),
         ..default
     }
 }
@@ -217,8 +224,14 @@ fn optimize_from_wire(wire: v1::OptimizeSpec, faults: &mut Vec<Fault>) -> Spec {
         seed: wire.seed,
         lock: locks_from_wire(&wire.lock, faults),
         hard_edge_degrees: wire.hard_edge_degrees.unwrap_or(default.hard_edge_degrees),
+        output: output_from_wire(wire.output),
         ..default
     }
+}
+
+fn output_from_wire(wire: Option<v1::Output>) -> Output {
+    let wire = wire.unwrap_or_default();
+    Output { quantize: wire.quantize, compress: wire.compress }
 }
 
 fn optimization_from_wire(wire: &v1::Optimization, faults: &mut Vec<Fault>) -> Optimize {
@@ -325,6 +338,7 @@ mod tests {
                     solver: words.4,
                     normals: n[0] % 2 == 0,
                 },
+                output: Output { quantize: n[1] % 2 == 0, compress: n[2] % 2 == 0 },
                 max_evaluations,
                 max_secs: x[0] / 3.0,
                 seed,
@@ -339,10 +353,10 @@ mod tests {
         let (lock, hard_edge_degrees) = (spec.lock, spec.hard_edge_degrees);
         let (optimize, max_evaluations, max_secs) =
             (spec.optimize, spec.max_evaluations, spec.max_secs);
-        let seed = spec.seed;
+        let (seed, output) = (spec.seed, spec.output);
         let base = Spec::optimizing(input);
         let base = Spec { lock, hard_edge_degrees, ..base };
-        Spec { topology, render, optimize, max_evaluations, max_secs, seed, ..base }
+        Spec { topology, render, optimize, output, max_evaluations, max_secs, seed, ..base }
     }
 
     proptest! {

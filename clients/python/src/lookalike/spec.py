@@ -19,7 +19,7 @@ Work = spec_pb2.SimplifySpec | spec_pb2.OptimizeSpec
 _W = TypeVar("_W", spec_pb2.SimplifySpec, spec_pb2.OptimizeSpec)
 
 #: Fields that hold fields of their own, and what those are prefixed with as keywords.
-_GROUPS = {"render": "", "optimization": "optimize_"}
+_GROUPS = {"render": "", "optimization": "optimize_", "output": ""}
 #: Fields that are arguments, not keywords.
 _ARGUMENTS = {"triangles", "simplified_mesh", "simplified_file_name"}
 #: Fields of one value for all levels, and the field of as many values as are given.
