@@ -25,7 +25,7 @@ const MAY_IMPORT: [(&str, &[&str]); 18] = [
     ("metric", &["mesh", "render"]),
     ("simplify", &["mesh", "memoryless", "metric", "render"]),
     ("optimize", &["mesh", "memoryless", "metric", "render", "simplify"]),
-    ("compare", &["mesh", "render", "metric"]),
+    ("compare", &["intrinsics", "mesh", "render", "metric"]),
     ("jobs", &[]),
     (
         "worker",

@@ -7,8 +7,7 @@
 //!
 //! Invariants:
 //! 1. a picture is a function of mesh, view and parameters alone, not of threads;
-//! 2. triangles are drawn as they are, those that face the viewer first, then in face order: nothing is
-//!    merged, repaired or dropped but what is hidden;
+//! 2. triangles are drawn as they are, in face order: nothing is merged, repaired or dropped;
 //! 3. pixel values are floats from 0 to 1, never rounded to 8 bits.
 //!
 //! Knows nothing of differences, sheets or files.
@@ -20,7 +19,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    scan::{Band, Paint, Spot, doubled_area, rows_spanned},
+    scan::{Band, Paint, Spot, rows_spanned},
     texture::{Brush, Sieve, Texture},
 };
 use crate::{
@@ -232,29 +231,13 @@ fn picture<const N: usize>(drawable: &Drawable<'_, N>, view: &View, look: &Look)
     let bins = Bins::new(&drawable.mesh.faces, &spots, side, rows_of_band);
     let mut pixels = Vec::with_capacity(look.image_size * look.image_size);
     let mut band = Band::new(side);
-    let mut facing_away = Vec::new();
     for (index, faces) in bins.bands().enumerate() {
         let first = index * rows_of_band;
         band.clear(first..(first + rows_of_band).min(side), look.background as f32);
-        let draw = |band: &mut Band<N>, face: u32, corners: &[Spot; 3]| {
-            let brush = drawable.brush(face as usize, corners);
-            band.draw(corners, &drawable.paints(face as usize, view, look), brush.as_ref());
-        };
-        // What faces away comes last: most of it is behind the rest.
-        facing_away.clear();
         for face in faces {
             let corners = drawable.mesh.faces[*face as usize].map(|v| spots[v as usize]);
-            if doubled_area(&corners) < 0.0 {
-                draw(&mut band, *face, &corners);
-            } else {
-                facing_away.push((*face, corners));
-            }
-        }
-        band.find_bounds();
-        for (face, corners) in &facing_away {
-            if !band.hides(corners) {
-                draw(&mut band, *face, corners);
-            }
+            let brush = drawable.brush(*face as usize, &corners);
+            band.draw(&corners, &drawable.paints(*face as usize, view, look), brush.as_ref());
         }
         box_filter(&band, look, &mut pixels);
     }

@@ -48,16 +48,11 @@ pub(super) struct Band<const N: usize> {
     pub(super) rows: Range<usize>,
     depth: Vec<f32>,
     pub(super) values: Vec<[f32; N]>,
-    /// The farthest depth in each block of columns, as it was when [`Self::find_bounds`] looked.
-    bounds: Vec<f32>,
 }
-
-/// Columns of a block.
-const BLOCK: usize = 64;
 
 impl<const N: usize> Band<N> {
     pub(super) fn new(side: usize) -> Self {
-        Self { side, rows: 0..0, depth: Vec::new(), values: Vec::new(), bounds: Vec::new() }
+        Self { side, rows: 0..0, depth: Vec::new(), values: Vec::new() }
     }
 
     /// Moves to other rows and fills them with the background.
@@ -68,29 +63,6 @@ impl<const N: usize> Band<N> {
         self.depth.resize(n, f32::INFINITY);
         self.values.clear();
         self.values.resize(n, [background; N]);
-    }
-
-    /// Looks how far what is drawn so far reaches, for [`Self::hides`].
-    pub(super) fn find_bounds(&mut self) {
-        // Column by column first: that takes many at a time.
-        let mut columns = vec![0.0_f32; self.side];
-        for row in self.depth.chunks_exact(self.side) {
-            let columns = columns.iter_mut().zip(row);
-            columns
-                .for_each(|(bound, depth)| *bound = if *bound < *depth { *depth } else { *bound });
-        }
-        let farthest = |block: &[f32]| block.iter().copied().fold(0.0, f32::max);
-        self.bounds.clear();
-        self.bounds.extend(columns.chunks(BLOCK).map(farthest));
-    }
-
-    /// Whether a triangle lies behind everything that was drawn, where it may be seen.
-    pub(super) fn hides(&self, [a, b, c]: &[Spot; 3]) -> bool {
-        let first = first_sample(a.x.min(b.x).min(c.x), self.side);
-        let end = first_sample(a.x.max(b.x).max(c.x), self.side);
-        let nearest = a.z.min(b.z).min(c.z) as f32;
-        let blocks = first / BLOCK..end.div_ceil(BLOCK).max(first / BLOCK);
-        self.bounds[blocks].iter().all(|bound| *bound <= nearest)
     }
 
     /// Draws one triangle whose paint varies as it does on the surface (perspective-correct).
@@ -268,7 +240,7 @@ impl DepthLine {
     }
 }
 
-pub(super) fn doubled_area([a, b, c]: &[Spot; 3]) -> f64 {
+fn doubled_area([a, b, c]: &[Spot; 3]) -> f64 {
     (b.x - a.x) * (c.y - a.y) - (c.x - a.x) * (b.y - a.y)
 }
 
