@@ -25,12 +25,13 @@ pub struct Target {
 }
 
 /// All targets.
-pub const TARGETS: [Target; 8] = [
+pub const TARGETS: [Target; 9] = [
     Target { name: "read_glb", body: read_glb, seeds: glb_seeds },
     Target { name: "read_gltf", body: read_gltf, seeds: gltf_seeds },
     Target { name: "read_ply", body: read_ply, seeds: ply_seeds },
     Target { name: "read_obj", body: read_obj, seeds: obj_seeds },
     Target { name: "read_stl", body: read_stl, seeds: stl_seeds },
+    Target { name: "read_zip", body: read_zip, seeds: zip_seeds },
     Target { name: "progressive_file", body: progressive_file, seeds: file_seeds },
     Target { name: "progressive_records", body: progressive_records, seeds: record_seeds },
     Target { name: "progressive_edits", body: progressive_edits, seeds: edit_seeds },
@@ -59,6 +60,11 @@ pub fn read_obj(bytes: &[u8]) {
 /// STL reader.
 pub fn read_stl(bytes: &[u8]) {
     read("a.stl", bytes);
+}
+
+/// Archives, and what is in them.
+pub fn read_zip(bytes: &[u8]) {
+    read("a.zip", bytes);
 }
 
 fn read(name: &str, bytes: &[u8]) {
@@ -268,6 +274,47 @@ fn stl_seeds() -> Vec<Vec<u8>> {
     vec![binary, text.to_vec()]
 }
 
+/// An OBJ with its materials, as they are.
+fn zip_seeds() -> Vec<Vec<u8>> {
+    let obj = obj_seeds().pop().unwrap_or_default();
+    let mtl = b"newmtl a\nKd 1 0 0\nmap_Kd a.png\n".to_vec();
+    vec![archive(&[("m/a.obj", &obj), ("a", &mtl), ("a.png", b"\x89PNG\r\n\x1a\n")])]
+}
+
+/// Members that are stored, not compressed.
+fn archive(members: &[(&str, &[u8])]) -> Vec<u8> {
+    let (mut out, mut directory) = (Vec::new(), Vec::new());
+    for (name, bytes) in members {
+        let (at, n) = (out.len() as u32, bytes.len() as u32);
+        // Version, flags, method, time, date; what both headers have.
+        let mut common = [20_u16, 0, 0, 0, 0].map(u16::to_le_bytes).concat();
+        common.extend([crc32(bytes), n, n].map(u32::to_le_bytes).concat());
+        common.extend([name.len() as u16, 0].map(u16::to_le_bytes).concat());
+        out.extend(b"PK\x03\x04");
+        out.extend(&common);
+        out.extend(name.as_bytes());
+        out.extend(*bytes);
+        directory.extend(b"PK\x01\x02\x14\0");
+        directory.extend(common);
+        directory.extend([0; 10]);
+        directory.extend(at.to_le_bytes());
+        directory.extend(name.as_bytes());
+    }
+    let (at, n) = (out.len() as u32, members.len() as u16);
+    out.extend(&directory);
+    out.extend(b"PK\x05\x06\0\0\0\0");
+    out.extend([n, n].map(u16::to_le_bytes).concat());
+    out.extend([directory.len() as u32, at].map(u32::to_le_bytes).concat());
+    out.extend([0, 0]);
+    out
+}
+
+fn crc32(bytes: &[u8]) -> u32 {
+    let step = |crc: u32, bit: u32| (crc >> 1) ^ (0xedb8_8320 & 0_u32.wrapping_sub(bit & 1));
+    let shift = |crc: u32| (0..8).fold(crc, |crc, _| step(crc, crc));
+    !bytes.iter().fold(u32::MAX, |crc, byte| shift(crc ^ u32::from(*byte)))
+}
+
 fn file_seeds() -> Vec<Vec<u8>> {
     let mesh = octahedron();
     let Ok(mut writer) = Writer::new(&mesh) else { return Vec::new() };
@@ -383,6 +430,7 @@ mod tests {
         is_model("a.ply", ply_seeds());
         is_model("a.obj", obj_seeds());
         is_model("a.stl", stl_seeds());
+        is_model("a.zip", zip_seeds());
         assert_eq!(file_seeds().len(), 3);
         for seed in file_seeds() {
             assert_eq!(Reader::open(&seed).unwrap().extract(8).unwrap(), octahedron());
