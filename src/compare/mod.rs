@@ -10,6 +10,7 @@ pub mod raster;
 pub mod sample;
 mod scan;
 pub mod sheet;
+mod skin;
 mod texture;
 mod torus;
 

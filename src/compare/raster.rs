@@ -20,10 +20,11 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     scan::{Band, Paint, Spot, rows_spanned},
-    texture::{Brush, Sieve, Texture},
+    skin::{Skin, pixels, skin},
+    texture::Brush,
 };
 use crate::{
-    mesh::{Coverage, Material, Mesh, Pixels, Semantic, TextureUse, WedgeId, Wrap},
+    mesh::{Coverage, Material, Mesh, Semantic, TextureUse, WedgeId},
     metric::image::{luminance, srgb_from_linear},
     render::view::{Projection, View},
 };
@@ -93,14 +94,6 @@ pub struct Drawable<'m, const N: usize> {
     corner_colours: Vec<[[f32; N]; 3]>,
     /// By material; empty when the surface is white.
     textures: Vec<Option<Skin<N>>>,
-}
-
-/// What a material looks like.
-struct Skin<const N: usize> {
-    at: TextureUse,
-    texture: Texture<N>,
-    /// Where it has holes.
-    sieve: Option<Sieve>,
 }
 
 impl<'m> Drawable<'m, 1> {
@@ -327,36 +320,6 @@ fn smooth_normals(mesh: &Mesh, area_normals: &[DVec3]) -> Vec<DVec3> {
         corners.iter().for_each(|v| sums[shared[*v as usize]] += *normal);
     }
     shared.into_iter().map(|v| sums[v].normalize_or_zero()).collect()
-}
-
-/// The decoded image of a texture.
-fn pixels<'m>(mesh: &'m Mesh, at: &TextureUse) -> Option<(&'m Pixels, [Wrap; 2])> {
-    let texture = mesh.textures.get(at.texture as usize)?;
-    let image = mesh.images.get(texture.image? as usize)?;
-    Some((image.pixels.as_deref()?, texture.wrap))
-}
-
-/// The base colour texture of a material, if it has one that was read, with the factor in it; a single texel where
-/// there is none, but holes.
-fn skin<const N: usize>(
-    mesh: &Mesh,
-    material: &Material,
-    encode: impl Fn([f32; 3]) -> [f32; N],
-) -> Option<Skin<N>> {
-    let white = Pixels { width: 1, height: 1, rgba: vec![255; 4] };
-    let everywhere = TextureUse { texture: 0, tex_coord: 0, transform: TextureUse::IDENTITY };
-    let found = material.base_texture.and_then(|at| Some((at, pixels(mesh, &at)?)));
-    let coverage = material.coverage();
-    let (at, (pixels, wrap)) = match found {
-        Some(found) => found,
-        None if coverage == Coverage::Opaque => return None,
-        None => (everywhere, (&white, [Wrap::Repeat; 2])),
-    };
-    let [r, g, b, alpha] = material.base_color;
-    let lit = |texel: [f32; 3]| encode([texel[0] * r, texel[1] * g, texel[2] * b]);
-    let has_sieve = coverage != Coverage::Opaque;
-    let sieve = has_sieve.then(|| Sieve::new(pixels, wrap, alpha, coverage));
-    Some(Skin { at, texture: Texture::new(pixels, wrap, lit), sieve })
 }
 
 /// Linear RGB of every corner: base colour of the material × the first colour set.

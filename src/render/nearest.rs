@@ -33,9 +33,7 @@ impl Nearest {
         let size = scene.lattice.size as usize;
         let (ids, depths) = (vec![NOTHING; size * size], vec![i32::MAX; size * size]);
         let mut this = Self { size, ids, depths };
-        // Beside one another: in the scene a vertex's points of all views are, far from its neighbours'.
-        let points: Vec<ScreenPoint> =
-            (0..scene.n_vertex_slots() as u32).map(|v| scene.screen_points(v)[view]).collect();
+        let points = scene.screen_points_in(view);
         let cull = scene.culls_front(view);
         let at = |face: &SceneFace| face.vertices.map(|v| points[v as usize]);
         let texels = scene.texels.words();

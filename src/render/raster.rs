@@ -95,9 +95,7 @@ pub(super) fn for_each_setup(
     mut on: impl FnMut(u32, &SceneFace, &Setup),
 ) {
     let (lattice, cull) = (&scene.lattice, scene.culls_front(view));
-    // Beside one another: in the scene a vertex's points of all views are, far from its neighbours'.
-    let points: Vec<_> =
-        (0..scene.n_vertex_slots() as u32).map(|v| scene.screen_points(v)[view]).collect();
+    let points = scene.screen_points_in(view);
     for (id, face) in (0_u32..).zip(&scene.faces).filter(|(id, _)| wanted(*id)) {
         let Some(face) = face else { continue };
         if let Some(s) = lattice.setup(face.vertices.map(|v| points[v as usize]), [0; 3], cull) {

@@ -148,6 +148,12 @@ impl Scene {
         &self.screen[vertex as usize * n..][..n]
     }
 
+    /// The screen points of all vertex slots in one view, beside one another: in the scene a vertex's points of all
+    /// views are, far from its neighbours'.
+    pub fn screen_points_in(&self, view: usize) -> Vec<ScreenPoint> {
+        (0..self.n_vertex_slots() as u32).map(|v| self.screen_points(v)[view]).collect()
+    }
+
     /// Screen points of a position that is not (yet) a vertex, one a view.
     pub fn project(&self, p: DVec3) -> impl Iterator<Item = ScreenPoint> + '_ {
         self.views.iter().map(move |v| self.lattice.snap(v.project(p)))
