@@ -72,7 +72,9 @@ const MAY_IMPORT: [(&str, &[&str]); 18] = [
 
 /// External crate → the only modules that may name it. Wire stubs live in `service`; the worker
 /// speaks to a server through them, and the command line is a client.
-const SOLE_OWNERS: [(&str, &[&str]); 12] = [
+const SOLE_OWNERS: [(&str, &[&str]); 14] = [
+    ("basisu", &["io"]),
+    ("draco_core", &["io"]),
     ("gltf", &["io"]),
     ("gltf_json", &["io"]),
     ("rawzip", &["io"]),

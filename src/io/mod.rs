@@ -30,6 +30,7 @@ mod error;
 mod format;
 mod gltf;
 mod intern;
+mod ktx2;
 mod limits;
 mod mtl;
 mod obj;

@@ -1,4 +1,4 @@
-//! Decoding of the images that pictures show: those of base textures.
+//! Decoding of the images that pictures show: those of base textures. PNG, JPEG and WebP here, KTX2 in `ktx2.rs`.
 //!
 //! The content says what an image is, not its media type. Dimensions are held against the limits
 //! before anything is decoded. An image that cannot be decoded is noted; its bytes stay.
@@ -8,7 +8,7 @@ use std::{collections::BTreeSet, io::Cursor, panic::catch_unwind, sync::Arc};
 use image::{ImageFormat, ImageReader};
 use rayon::prelude::*;
 
-use super::{Limits, soup::Notes};
+use super::{Limits, ktx2, soup::Notes};
 use crate::mesh::{Image, Mesh, Pixels};
 
 /// What is decoded.
@@ -20,6 +20,9 @@ const BYTES_PER_PIXEL: u64 = 12;
 
 /// The media type that the content shows.
 pub(super) fn mime_of(bytes: &[u8]) -> Option<&'static str> {
+    if ktx2::is_ktx2(bytes) {
+        return Some(ktx2::MIME);
+    }
     image::guess_format(bytes).ok().map(|format| format.to_mime_type())
 }
 
@@ -52,7 +55,7 @@ fn note_unreadable(index: usize, image: &Image, reason: &str, limits: &Limits, n
     let reason: String = reason.chars().take(160).collect();
     let text = format!(
         "image {index} '{name}' cannot be decoded ({reason}): materials that use it are drawn in \
-         their factors alone; save it as PNG, JPEG or WebP of at most {} pixels a side",
+         their factors alone; save it as PNG, JPEG, WebP or KTX2 (Basis Universal) of at most {} pixels a side",
         limits.max_image_side
     );
     notes.add("image_unreadable", text);
@@ -74,8 +77,12 @@ fn reader<'a>(bytes: &'a [u8], limits: &Limits) -> Result<ImageReader<Cursor<&'a
 
 /// Holds the dimensions in the image's header against the limits; `n_pixels` counts those of all.
 fn check_size(bytes: &[u8], limits: &Limits, n_pixels: &mut u64) -> Result<(), String> {
-    let reader = reader(bytes, limits)?;
-    let (width, height) = guarded(move || reader.into_dimensions())?;
+    let (width, height) = if ktx2::is_ktx2(bytes) {
+        ktx2::dimensions(bytes)?
+    } else {
+        let reader = reader(bytes, limits)?;
+        guarded(move || reader.into_dimensions())?
+    };
     let own = u64::from(width) * u64::from(height);
     let rules = [
         (width.max(height).into(), limits.max_image_side.into(), "pixels a side"),
@@ -93,13 +100,17 @@ fn check_size(bytes: &[u8], limits: &Limits, n_pixels: &mut u64) -> Result<(), S
 
 /// Eight bits a channel, no side over [`MAX_DRAWN_SIDE`].
 fn decode(bytes: &[u8], limits: &Limits) -> Result<Pixels, String> {
-    let reader = reader(bytes, limits)?;
-    let image = guarded(move || reader.decode())?.into_rgba8();
-    let (width, height) = image.dimensions();
-    if width == 0 || height == 0 {
+    let mut pixels = if ktx2::is_ktx2(bytes) {
+        guarded(|| ktx2::decode(bytes))?
+    } else {
+        let reader = reader(bytes, limits)?;
+        let image = guarded(move || reader.decode())?.into_rgba8();
+        let (width, height) = image.dimensions();
+        Pixels { width, height, rgba: image.into_raw() }
+    };
+    if pixels.width == 0 || pixels.height == 0 {
         return Err("it has no pixels".to_owned());
     }
-    let mut pixels = Pixels { width, height, rgba: image.into_raw() };
     while pixels.width.max(pixels.height) > MAX_DRAWN_SIDE {
         pixels = halved(&pixels);
     }
@@ -108,8 +119,8 @@ fn decode(bytes: &[u8], limits: &Limits) -> Result<Pixels, String> {
 
 /// A decoder that panics cannot decode: arithmetic is checked here, which its authors need not
 /// have tried.
-fn guarded<T>(
-    decode: impl FnOnce() -> image::ImageResult<T> + std::panic::UnwindSafe,
+fn guarded<T, E: ToString>(
+    decode: impl FnOnce() -> Result<T, E> + std::panic::UnwindSafe,
 ) -> Result<T, String> {
     match catch_unwind(decode) {
         Ok(result) => result.map_err(|error| error.to_string()),

@@ -162,7 +162,7 @@ pub struct Texture {
     pub name: String,
     /// Index into [`Mesh::images`]; `None` where an extension names an image that is not read.
     pub image: Option<u32>,
-    /// The image for programs that cannot read the other one (EXT_texture_webp), not drawn.
+    /// The image for programs that cannot read the other one (WebP, KTX2), not drawn.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fallback: Option<u32>,
     /// Beyond the edges, rightwards and downwards.

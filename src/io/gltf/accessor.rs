@@ -16,7 +16,7 @@ pub(super) struct View<'a> {
     pub(super) accessor: &'a Accessor,
     pub(super) count: u64,
     pub(super) width: usize,
-    component: ComponentType,
+    pub(super) component: ComponentType,
 }
 
 impl<'a> Document<'a> {
@@ -39,9 +39,6 @@ impl<'a> Document<'a> {
         };
         if !allowed.contains(&kind) {
             return Err(bad(&format!("an accessor of type {kind:?} instead of {allowed:?}")));
-        }
-        if accessor.buffer_view.is_none() && accessor.sparse.is_none() {
-            return Err(bad("an accessor without data"));
         }
         let width = kind.multiplicity();
         Ok(View { accessor, count: accessor.count.0, width, component: component.0 })
@@ -72,6 +69,9 @@ impl<'a> Document<'a> {
         place: &str,
     ) -> Result<Vec<T>, IoError> {
         let n_bytes = view.component.size();
+        if view.accessor.buffer_view.is_none() && view.accessor.sparse.is_none() {
+            return Err(self.source.malformed(place, "an accessor without data", REMEDY));
+        }
         let mut values = match view.accessor.buffer_view {
             Some(buffer_view) => {
                 let at = Range {

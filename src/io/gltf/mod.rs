@@ -13,6 +13,7 @@
 mod accessor;
 mod compressed;
 mod container;
+mod draco;
 mod material;
 mod primitive;
 mod scene;
@@ -44,10 +45,11 @@ struct Document<'a> {
     source: &'a Source<'a>,
     root: json::Root,
     buffers: Buffers<'a>,
+    compressed: Vec<draco::Carrier>,
 }
 
-/// What the schema drops: materials are kept word for word, textures and buffer views have
-/// extensions.
+/// What the schema drops: materials are kept word for word; textures, buffer views and primitives
+/// have extensions.
 #[derive(Default, Deserialize)]
 #[serde(default)]
 struct Verbatim {
@@ -55,6 +57,7 @@ struct Verbatim {
     textures: Vec<Value>,
     #[serde(rename = "bufferViews")]
     buffer_views: Vec<compressed::Carrier>,
+    meshes: Vec<draco::Carrier>,
 }
 
 fn read_document(source: &Source<'_>, json: &[u8], bin: Option<&[u8]>) -> Result<Soup, IoError> {
@@ -72,7 +75,7 @@ fn read_document(source: &Source<'_>, json: &[u8], bin: Option<&[u8]>) -> Result
     let mut soup = Soup::default();
     check_extensions(source, &root)?;
     let buffers = Buffers::load(source, &root, bin, verbatim.buffer_views)?;
-    let document = Document { source, root, buffers };
+    let document = Document { source, root, buffers, compressed: verbatim.meshes };
     texture::read_images(&document, &mut soup);
     texture::read_textures(&document, &verbatim.textures, &mut soup);
     material::read_materials(&document, verbatim.materials, &mut soup);
@@ -87,10 +90,12 @@ fn read_document(source: &Source<'_>, json: &[u8], bin: Option<&[u8]>) -> Result
 }
 
 /// Required extensions that change nothing here, or that are read.
-const HARMLESS: [&str; 7] = [
+const HARMLESS: [&str; 9] = [
     "EXT_meshopt_compression",
     "KHR_meshopt_compression",
+    "KHR_draco_mesh_compression",
     "KHR_mesh_quantization",
+    "KHR_texture_basisu",
     "KHR_texture_transform",
     "KHR_lights_punctual",
     "KHR_xmp_json_ld",
@@ -98,14 +103,8 @@ const HARMLESS: [&str; 7] = [
 ];
 
 /// Required extensions that are known, with what to do about them.
-const REFUSED: [(&str, &str); 3] = [
-    (
-        "KHR_draco_mesh_compression",
-        "save the model without Draco compression, for example with gltf-transform copy",
-    ),
-    ("KHR_texture_basisu", "save the model with PNG or JPEG textures instead of KTX2"),
-    ("EXT_mesh_gpu_instancing", "save the model with one node per instance"),
-];
+const REFUSED: [(&str, &str); 1] =
+    [("EXT_mesh_gpu_instancing", "save the model with one node per instance")];
 
 fn check_extensions(source: &Source<'_>, root: &json::Root) -> Result<(), IoError> {
     let is_harmless = |name: &str| HARMLESS.contains(&name) || name.starts_with("KHR_materials_");

@@ -10,6 +10,7 @@ use gltf::json::{
 use super::{
     super::soup::{Attribute, Patch, PatchMaterials, PointMarks, defaults_of},
     Document, IoError, REMEDY, Soup,
+    draco::Packed,
     material::default_material,
     scene::Placement,
 };
@@ -36,7 +37,7 @@ pub(super) fn read_mesh(
         if primitive.targets.as_ref().is_some_and(|t| !t.is_empty()) {
             soup.notes.add("morph_targets_ignored", "morph targets are ignored");
         }
-        read_primitive(document, soup, placement, primitive, place)?;
+        read_primitive(document, soup, placement, (i, primitive), place)?;
     }
     Ok(())
 }
@@ -45,7 +46,7 @@ fn read_primitive(
     document: &Document<'_>,
     soup: &mut Soup,
     placement: &Placement,
-    primitive: &Primitive,
+    (number, primitive): (usize, &Primitive),
     place: String,
 ) -> Result<(), IoError> {
     let Checked::Valid(mode) = primitive.mode else {
@@ -55,28 +56,17 @@ fn read_primitive(
         soup.notes.add("points_and_lines_ignored", "points and lines are ignored");
         return Ok(());
     };
-    let key = Checked::Valid(JsonSemantic::Positions);
-    let Some(positions) = primitive.attributes.get(&key) else {
+    if !primitive.attributes.contains_key(&Checked::Valid(JsonSemantic::Positions)) {
         soup.notes.add("primitive_without_positions", "primitives without positions are ignored");
         return Ok(());
-    };
-    let position_place = format!("{place}, POSITION");
-    let view = document.accessor(positions.value(), &[Type::Vec3], &position_place)?;
-    let indices = match primitive.indices {
-        Some(i) => {
-            Some(document.accessor(i.value(), &[Type::Scalar], &format!("{place}, indices"))?)
-        }
-        None => None,
-    };
-    let n_points = view.count;
-    let n_corners = indices.as_ref().map_or(n_points, |v| v.count);
+    }
+    let packed = Packed::of(document, placement.mesh, number, &place)?;
+    let mut values = Values { document, primitive, packed, n_points: 0 };
+    let n_corners = values.count(&place)?;
     // Claimed before anything of that size is allocated.
-    soup.claim(document.source, &place, n_points, (split.count)(n_corners))?;
-    let corners = match indices {
-        Some(view) => document.indices(&view, &format!("{place}, indices"))?,
-        None => (0..n_points as u32).collect(),
-    };
-    let positions = document.floats(&view, false, &position_place)?;
+    soup.claim(document.source, &place, values.n_points, (split.count)(n_corners))?;
+    let corners = values.corners(&place)?;
+    let positions = values.positions(&place)?;
     let mut patch = Patch {
         positions: positions
             .as_chunks::<3>()
@@ -85,8 +75,8 @@ fn read_primitive(
             .map(|p| place_point(placement, *p))
             .collect(),
         triangles: (split.triangles)(&corners),
-        attributes: read_attributes(document, soup, primitive, n_points, &place)?,
-        marks: read_marks(document, primitive, n_points, &place)?,
+        attributes: read_attributes(&values, soup, &place)?,
+        marks: read_marks(&values, &place)?,
         materials: PatchMaterials::All(match primitive.material {
             Some(material) => check_material(document, material.value(), &place)?,
             None => default_material(document, soup),
@@ -96,6 +86,79 @@ fn read_primitive(
     };
     transform_attributes(&mut patch, &placement.world_from_mesh);
     soup.push(document.source, patch)
+}
+
+/// The values of a primitive, in accessors or packed.
+struct Values<'d> {
+    document: &'d Document<'d>,
+    primitive: &'d Primitive,
+    packed: Option<Packed<'d>>,
+    n_points: u64,
+}
+
+impl Values<'_> {
+    /// Finds out the number of points, and returns that of corners.
+    fn count(&mut self, place: &str) -> Result<u64, IoError> {
+        if let Some(packed) = &self.packed {
+            self.n_points = packed.n_points() as u64;
+            return Ok(packed.n_corners() as u64);
+        }
+        let key = Checked::Valid(JsonSemantic::Positions);
+        if let Some(positions) = self.primitive.attributes.get(&key) {
+            let place = format!("{place}, POSITION");
+            self.n_points = self.document.accessor(positions.value(), &[Type::Vec3], &place)?.count;
+        }
+        match self.primitive.indices {
+            Some(i) => {
+                let place = format!("{place}, indices");
+                Ok(self.document.accessor(i.value(), &[Type::Scalar], &place)?.count)
+            }
+            None => Ok(self.n_points),
+        }
+    }
+
+    /// The points of all corners.
+    fn corners(&self, place: &str) -> Result<Vec<u32>, IoError> {
+        match (&self.packed, self.primitive.indices) {
+            (Some(packed), _) => Ok(packed.corners()),
+            (None, Some(i)) => {
+                let place = format!("{place}, indices");
+                let view = self.document.accessor(i.value(), &[Type::Scalar], &place)?;
+                self.document.indices(&view, &place)
+            }
+            (None, None) => Ok((0..self.n_points as u32).collect()),
+        }
+    }
+
+    fn positions(&self, place: &str) -> Result<Vec<f32>, IoError> {
+        let column = self.column(&JsonSemantic::Positions, (&[Type::Vec3], false), place)?;
+        Ok(column.map_or_else(Vec::new, |(values, _)| values))
+    }
+
+    /// An attribute's values for all points, and how many a point has; `None` when there is no such attribute.
+    /// Integers are normalized if the file or the caller says so.
+    fn column(
+        &self,
+        name: &JsonSemantic,
+        (types, normalize): (&[Type], bool),
+        place: &str,
+    ) -> Result<Option<(Vec<f32>, usize)>, IoError> {
+        let Some(index) = self.primitive.attributes.get(&Checked::Valid(name.clone())) else {
+            return Ok(None);
+        };
+        let place = format!("{place}, {}", name.to_string());
+        let view = self.document.accessor(index.value(), types, &place)?;
+        let packed =
+            self.packed.as_ref().and_then(|p| p.floats(&name.to_string(), &view, normalize));
+        if let Some(values) = packed {
+            return Ok(Some((values, view.width)));
+        }
+        if view.count != self.n_points {
+            let problem = format!("{} values for {} positions", view.count, self.n_points);
+            return Err(self.document.source.malformed(place, problem, REMEDY));
+        }
+        Ok(Some((self.document.floats(&view, normalize, &place)?, view.width)))
+    }
 }
 
 fn place_point(placement: &Placement, p: [f32; 3]) -> DVec3 {
@@ -148,26 +211,23 @@ fn split_fan(corners: &[u32]) -> Vec<[u32; 3]> {
 }
 
 fn read_attributes(
-    document: &Document<'_>,
+    values: &Values<'_>,
     soup: &mut Soup,
-    primitive: &Primitive,
-    n_points: u64,
     place: &str,
 ) -> Result<Vec<Attribute>, IoError> {
     let mut attributes = Vec::new();
-    for (name, index) in &primitive.attributes {
+    for name in values.primitive.attributes.keys() {
         let Checked::Valid(name) = name else {
             soup.notes.add("attribute_ignored", "vertex attributes of unknown name are ignored");
             continue;
         };
         let Some((semantic, types)) = meaning_of(name, soup) else { continue };
-        let place = format!("{place}, {name:?}");
-        let view = document.accessor(index.value(), types, &place)?;
-        check_count(document, view.count, n_points, &place)?;
         // Integer colours are normalized even where the file forgets to say so.
         let is_color = matches!(semantic, Semantic::Color(_));
-        let mut values = document.floats(&view, is_color, &place)?;
-        if view.width < defaults_of(semantic).len() {
+        let Some((mut values, width)) = values.column(name, (types, is_color), place)? else {
+            continue;
+        };
+        if width < defaults_of(semantic).len() {
             values =
                 values.as_chunks::<3>().0.iter().flat_map(|c| [c[0], c[1], c[2], 1.0]).collect();
         }
@@ -176,35 +236,14 @@ fn read_attributes(
     Ok(attributes)
 }
 
-fn check_count(
-    document: &Document<'_>,
-    count: u64,
-    n_points: u64,
-    place: &str,
-) -> Result<(), IoError> {
-    if count == n_points {
-        return Ok(());
-    }
-    let problem = format!("{count} values for {n_points} positions");
-    Err(document.source.malformed(place, problem, REMEDY))
-}
-
 /// The attributes that say something of single points: `_LOCK` and `_WEIGHT`.
 const MARKS: [&str; 2] = ["LOCK", "WEIGHT"];
 
-fn read_marks(
-    document: &Document<'_>,
-    primitive: &Primitive,
-    n_points: u64,
-    place: &str,
-) -> Result<PointMarks, IoError> {
+fn read_marks(values: &Values<'_>, place: &str) -> Result<PointMarks, IoError> {
     let read = |name: &str| {
-        let key = Checked::Valid(JsonSemantic::Extras(name.to_owned()));
-        let Some(index) = primitive.attributes.get(&key) else { return Ok(Vec::new()) };
-        let place = format!("{place}, _{name}");
-        let view = document.accessor(index.value(), &[Type::Scalar], &place)?;
-        check_count(document, view.count, n_points, &place)?;
-        document.floats(&view, false, &place)
+        let name = JsonSemantic::Extras(name.to_owned());
+        let column = values.column(&name, (&[Type::Scalar], false), place)?;
+        Ok(column.map_or_else(Vec::new, |(values, _)| values))
     };
     let [locks, weights] = MARKS.map(read);
     Ok(PointMarks { locks: locks?, weights: weights? })

@@ -22,6 +22,9 @@ use crate::mesh::{Image, Texture, TextureUse, Wrap};
 /// The schema's mark of a texture without a source.
 const NO_SOURCE: usize = u32::MAX as usize;
 
+/// Extensions that name an image in a format that not all programs read.
+const NEWER_FORMATS: [&str; 2] = ["KHR_texture_basisu", "EXT_texture_webp"];
+
 /// All images in the order of the file.
 pub(super) fn read_images(document: &Document<'_>, soup: &mut Soup) {
     let mut store = Store {
@@ -75,7 +78,7 @@ impl Store<'_> {
         if let Some(bytes) = self.views.get(&view) {
             return Ok(bytes.clone());
         }
-        let Document { source, root, buffers } = self.document;
+        let Document { source, root, buffers, .. } = self.document;
         let bytes = buffers
             .view(source, root, view, &format!("image {image}"))
             .map_err(|_| format!("its bytes (buffer view {view}) are not in the file"))?;
@@ -100,21 +103,16 @@ pub(super) fn read_textures(document: &Document<'_>, verbatim: &[Value], soup: &
         };
         let source = Some(texture.source.value()).filter(|source| *source != NO_SOURCE);
         let source = in_range(source, document.root.images.len(), &label, "image", soup);
-        let webp = extension("EXT_texture_webp");
-        let webp = in_range(webp, document.root.images.len(), &label, "image", soup);
-        if source.or(webp).is_none() && extension("KHR_texture_basisu").is_some() {
-            let text = "KHR_texture_basisu: KTX2 images are not decoded, materials are drawn in \
-                        their factors alone; save the model with PNG, JPEG or WebP textures";
-            soup.notes.add("texture_not_decoded", text);
-        }
+        let newer = NEWER_FORMATS.iter().find_map(|name| extension(name));
+        let newer = in_range(newer, document.root.images.len(), &label, "image", soup);
         let sampler = texture.sampler.map(|sampler| sampler.value());
         let sampler = in_range(sampler, document.root.samplers.len(), &label, "sampler", soup);
         let (wrap, filters) =
             sampler.map(|s| sampling(&document.root.samplers[s])).unwrap_or_default();
         soup.textures.push(Texture {
             name,
-            image: webp.or(source).map(|i| i as u32),
-            fallback: webp.and(source).map(|i| i as u32),
+            image: newer.or(source).map(|i| i as u32),
+            fallback: newer.and(source).map(|i| i as u32),
             wrap,
             filters,
         });

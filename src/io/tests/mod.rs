@@ -8,6 +8,7 @@ mod formats;
 mod gltf_scenes;
 mod models;
 mod mutations;
+mod packed;
 mod pictures;
 mod quantized;
 mod round_trip;

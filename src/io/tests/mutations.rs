@@ -5,7 +5,7 @@ use proptest::prelude::*;
 
 use super::{
     archives::{deflated, pack, stored},
-    compressed, *,
+    compressed, packed, *,
 };
 use crate::io::{GlbOptions, PlyPositions, write_glb, write_glb_with, write_obj, write_ply};
 
@@ -58,6 +58,9 @@ fn seeds() -> Vec<(&'static str, Vec<u8>)> {
         ("a.stl", stl),
         ("a.stl", text.into()),
     ]
+    .into_iter()
+    .chain(packed::seeds())
+    .collect()
 }
 
 /// One edit of the bytes.

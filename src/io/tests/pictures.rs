@@ -121,7 +121,7 @@ fn what_cannot_be_decoded_is_noted_and_kept() {
         assert_eq!(note.code, "image_unreadable");
         let ends = [
             note.text.starts_with("image 0 '' cannot be decoded ("),
-            note.text.ends_with("save it as PNG, JPEG or WebP of at most 16384 pixels a side"),
+            note.text.ends_with("(Basis Universal) of at most 16384 pixels a side"),
             note.text.contains(said),
         ];
         assert_eq!(ends, [true; 3], "{}", note.text);

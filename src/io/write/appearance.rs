@@ -14,7 +14,9 @@ use crate::{
     mesh::{Image, Material, Mesh, Semantic, Texture, TextureUse, Wrap},
 };
 
-const WEBP: &str = "EXT_texture_webp";
+/// Media types of images that only an extension may name.
+const EXTENSIONS: [(&str, &str); 2] =
+    [("image/webp", "EXT_texture_webp"), ("image/ktx2", "KHR_texture_basisu")];
 const TRANSFORM: &str = "KHR_texture_transform";
 
 /// The lists of a document that say what surfaces look like.
@@ -85,16 +87,20 @@ impl Appearance {
             Some((images.get(index)?, (*new_images.get(index)?)?))
         };
         let fallback = find(texture.fallback);
-        match find(texture.image) {
-            Some((image, source)) if mime(image) == "image/webp" => {
-                value["extensions"] = json!({ WEBP: { "source": source } });
-                self.extensions_used.insert(WEBP.to_owned());
+        let found = find(texture.image);
+        let extension = found.and_then(|(image, _)| {
+            EXTENSIONS.iter().find_map(|(of, name)| (*of == mime(image)).then_some(*name))
+        });
+        match (found, extension) {
+            (Some((_, source)), Some(name)) => {
+                value["extensions"] = json!({ name: { "source": source } });
+                self.extensions_used.insert(name.to_owned());
                 match fallback {
                     Some((_, source)) => value["source"] = source.into(),
-                    None => drop(self.extensions_required.insert(WEBP.to_owned())),
+                    None => drop(self.extensions_required.insert(name.to_owned())),
                 }
             }
-            found => {
+            _ => {
                 if let Some((_, source)) = found.or(fallback) {
                     value["source"] = source.into();
                 }
