@@ -237,6 +237,7 @@ fn pictures(original: &Mesh) -> Pictures {
         ambient: 0.1,
         background: 128,
         interior_views: 0,
+        hides_back_faces: false,
     };
     Pictures::of(original, params, cameras(&bounding_sphere(original), &view_params))
 }

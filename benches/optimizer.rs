@@ -225,6 +225,7 @@ impl<'m> Stage<'m> {
             ambient: 0.1,
             background: 128,
             interior_views: 0,
+            hides_back_faces: false,
         };
         let views = cameras(&bounding_sphere(original), &view_params);
         let pictures = Pictures::of(original, params, views);

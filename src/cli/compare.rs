@@ -37,6 +37,9 @@ pub(crate) struct CompareArgs {
     /// Draw material and vertex colours instead of white.
     #[arg(long)]
     colours: bool,
+    /// Leave out back faces of single-sided materials, as glTF viewers do.
+    #[arg(long)]
+    hide_back_faces: bool,
     /// In smooth shading, draw the simplified mesh with the normals of its file.
     #[arg(long)]
     stored_normals: bool,
@@ -61,6 +64,7 @@ pub(crate) fn run(args: &CompareArgs) -> Result<(), Failure> {
             ShadingArg::Smooth => compare::Shading::Smooth,
         },
         appearance: if args.colours { Appearance::Coloured } else { Appearance::White },
+        hides_back_faces: args.hide_back_faces,
         ..Look::default()
     };
     let surface = (!args.no_distance).then(SurfaceParams::default);

@@ -42,6 +42,9 @@ pub(crate) struct PictureArgs {
     /// How many of the views look at the inside.
     #[arg(long, default_value_t = 0, value_name = "N")]
     interior_views: u32,
+    /// Leave out back faces of single-sided materials, as glTF viewers do. Without it both sides are drawn.
+    #[arg(long)]
+    hide_back_faces: bool,
     /// How much each view counts, 0 to 16, one weight a view.
     #[arg(long, value_delimiter = ',', value_name = "W")]
     view_weights: Vec<u32>,
@@ -61,6 +64,7 @@ impl PictureArgs {
             light_degrees: self.light_degrees,
             shading: self.shading,
             interior_views: self.interior_views,
+            hide_back_faces: self.hide_back_faces,
             view_weights: self.view_weights,
         }
     }

@@ -19,7 +19,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    scan::{Band, Paint, Spot, rows_spanned},
+    scan::{Band, Paint, Spot, doubled_area, rows_spanned},
     skin::{Skin, pixels, skin},
     texture::Brush,
 };
@@ -67,6 +67,8 @@ pub struct Look {
     pub ambient: f64,
     /// Background grey, 0 to 1.
     pub background: f64,
+    /// Back faces of single-sided materials are left out.
+    pub hides_back_faces: bool,
 }
 
 impl Default for Look {
@@ -78,6 +80,7 @@ impl Default for Look {
             appearance: Appearance::default(),
             ambient: 0.1,
             background: 0.5,
+            hides_back_faces: false,
         }
     }
 }
@@ -174,10 +177,20 @@ impl<'m, const N: usize> Drawable<'m, N> {
         }))
     }
 
+    /// Whether a triangle turns its back to the viewer and is meant to be seen from its front alone.
+    fn is_hidden(&self, face: usize, corners: &[Spot; 3]) -> bool {
+        // Rows run downwards: counter-clockwise is negative.
+        doubled_area(corners) > 0.0 && self.material(face).is_some_and(|m| !m.double_sided)
+    }
+
     /// Whether no light falls on a triangle; that of a white surface does.
     fn is_unlit(&self, face: usize) -> bool {
-        let material = self.mesh.face_materials.get(face).copied().unwrap_or(0) as usize;
-        !self.textures.is_empty() && self.mesh.materials.get(material).is_some_and(|m| m.unlit)
+        !self.textures.is_empty() && self.material(face).is_some_and(|m| m.unlit)
+    }
+
+    fn material(&self, face: usize) -> Option<&Material> {
+        let material = self.mesh.face_materials.get(face).copied().unwrap_or(0);
+        self.mesh.materials.get(material as usize)
     }
 
     fn paints(&self, face: usize, view: &View, look: &Look) -> [Paint<N>; 3] {
@@ -229,6 +242,9 @@ fn picture<const N: usize>(drawable: &Drawable<'_, N>, view: &View, look: &Look)
         band.clear(first..(first + rows_of_band).min(side), look.background as f32);
         for face in faces {
             let corners = drawable.mesh.faces[*face as usize].map(|v| spots[v as usize]);
+            if look.hides_back_faces && drawable.is_hidden(*face as usize, &corners) {
+                continue;
+            }
             let brush = drawable.brush(*face as usize, &corners);
             band.draw(&corners, &drawable.paints(*face as usize, view, look), brush.as_ref());
         }
@@ -345,141 +361,5 @@ fn linear_colours(mesh: &Mesh) -> impl Iterator<Item = [[f32; 3]; 3]> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::{
-        mesh::{AttributeLayer, Material},
-        render::view::{BoundingSphere, ViewParams, camera},
-    };
-
-    fn front_view(sphere: &BoundingSphere) -> View {
-        let params = ViewParams {
-            directions: Vec::new(),
-            fov_degrees: 60.0,
-            projection: Projection::Perspective,
-            light_degrees: 0.0,
-        };
-        camera(sphere, &params, DVec3::Z, 0.0)
-    }
-
-    /// A square that faces the viewer and fills the whole picture.
-    fn wall() -> Mesh {
-        let corner = |x: f64, y: f64| DVec3::new(9.0 * x, 9.0 * y, 0.0);
-        Mesh::from_parts(
-            vec![corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0)],
-            vec![[0, 1, 2], [0, 2, 3]],
-        )
-    }
-
-    fn small() -> Look {
-        Look { image_size: 16, ..Look::default() }
-    }
-
-    fn draw(mesh: &Mesh, look: &Look) -> Vec<[f32; 1]> {
-        let unit = BoundingSphere { center: DVec3::ZERO, radius: 1.0 };
-        let drawable = Drawable::luminance(mesh, look);
-        pictures(&drawable, &[front_view(&unit)], look).remove(0)
-    }
-
-    #[test]
-    fn a_wall_lit_from_the_front_is_white_on_both_sides() {
-        let mut mesh = wall();
-        for shading in [Shading::Flat, Shading::Smooth] {
-            for _side in 0..2 {
-                let look = Look { shading, ..small() };
-                assert!(draw(&mesh, &look).iter().all(|p| (p[0] - 1.0).abs() < 1e-6));
-                mesh.faces.iter_mut().for_each(|f| f.reverse());
-            }
-        }
-    }
-
-    #[test]
-    fn an_edge_through_a_pixel_is_anti_aliased() {
-        // The wall's left half only: its border runs through the middle of the picture, moved a
-        // quarter of a pixel to the right, so that column 8 is a quarter covered.
-        let mut mesh = wall();
-        let pixel = 2.0 / (16.0 * 3.0_f64.sqrt()) * 2.0;
-        mesh.positions[1].x = pixel * 0.25;
-        mesh.positions[2].x = pixel * 0.25;
-        let row = &draw(&mesh, &small())[16 * 5..16 * 6];
-        assert_eq!(row[7], [1.0]);
-        assert!((row[8][0] - (0.25 + 0.75 * 0.5)).abs() < 1e-6, "{row:?}");
-        assert_eq!(row[9], [0.5]);
-    }
-
-    #[test]
-    fn colours_are_base_times_vertex_colour() {
-        let mut mesh = wall();
-        mesh.materials = vec![Material { base_color: [0.5, 0.5, 0.5, 1.0], ..Material::default() }];
-        mesh.face_wedges = mesh.faces.clone();
-        mesh.layers = vec![AttributeLayer {
-            semantic: Semantic::Color(0),
-            width: 4,
-            values: [0.0, 1.0, 0.0, 1.0].repeat(4),
-        }];
-        let look = Look { appearance: Appearance::Coloured, ..small() };
-        assert!(draw(&mesh, &look).iter().all(|p| (p[0] - 0.5 * 0.7152).abs() < 1e-6));
-        assert!(draw(&mesh, &small()).iter().all(|p| (p[0] - 1.0).abs() < 1e-6));
-    }
-
-    #[test]
-    fn what_is_transparent_shows_what_lies_behind() {
-        for (source, alpha, expected) in [
-            (r#"{"alphaMode": "MASK", "alphaCutoff": 0.4}"#, 0.3, 0.5),
-            (r#"{"alphaMode": "MASK", "alphaCutoff": 0.4}"#, 0.5, 1.0),
-            (r#"{"alphaMode": "BLEND"}"#, 0.5, 0.75),
-            (r#"{"alphaMode": "BLEND"}"#, 0.0, 0.5),
-            (r#"{"alphaMode": "OPAQUE"}"#, 0.5, 1.0),
-        ] {
-            let mut mesh = wall();
-            let base_color = [1.0, 1.0, 1.0, alpha];
-            let source = serde_json::from_str(source).unwrap();
-            mesh.materials = vec![Material { base_color, source, ..Material::default() }];
-            let look = Look { appearance: Appearance::Coloured, ..small() };
-            let drawn = draw(&mesh, &look);
-            assert!(
-                drawn.iter().all(|p| (p[0] - expected).abs() < 1e-3),
-                "{expected}: {:?}",
-                drawn[0]
-            );
-        }
-    }
-
-    #[test]
-    fn smooth_normals_join_at_equal_positions() {
-        // Two triangles folded by a right angle along an edge that each has its own vertices for.
-        let mesh = Mesh::from_parts(
-            vec![
-                DVec3::ZERO,
-                DVec3::X,
-                DVec3::Y,
-                DVec3::new(-0.0, 0.0, 0.0),
-                DVec3::Y,
-                DVec3::new(0.0, 0.0, 1.0),
-            ],
-            vec![[0, 1, 2], [3, 4, 5]],
-        );
-        let normals = smooth_normals(&mesh, &area_normals(&mesh));
-        assert_eq!(normals[0], normals[3]);
-        assert!(normals[0].distance(DVec3::new(1.0, 0.0, 1.0).normalize_or_zero()) < 1e-12);
-        assert_eq!(normals[1], DVec3::Z);
-    }
-
-    #[test]
-    fn stored_normals_take_the_place_of_derived_ones() {
-        let mut mesh = Mesh::from_parts(vec![DVec3::ZERO, DVec3::X, DVec3::Y], vec![[0, 1, 2]]);
-        mesh.face_wedges = vec![[0, 1, 2]];
-        let values = vec![3.0, 0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0];
-        mesh.layers = vec![AttributeLayer { semantic: Semantic::Normal, width: 3, values }];
-        let smooth = Look { shading: Shading::Smooth, ..small() };
-        let drawn = Drawable::luminance(&mesh, &smooth).with_stored_normals();
-        assert_eq!(drawn.corner_normals, [[DVec3::X, DVec3::Y, DVec3::ZERO]]);
-        let flat = Drawable::luminance(&mesh, &small()).with_stored_normals();
-        assert!(flat.corner_normals.is_empty());
-    }
-
-    #[test]
-    fn an_empty_mesh_leaves_the_background() {
-        assert!(draw(&Mesh::default(), &small()).iter().all(|p| p[0] == 0.5));
-    }
-}
+#[path = "raster_tests.rs"]
+mod tests;

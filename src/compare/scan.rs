@@ -240,7 +240,7 @@ impl DepthLine {
     }
 }
 
-fn doubled_area([a, b, c]: &[Spot; 3]) -> f64 {
+pub(super) fn doubled_area([a, b, c]: &[Spot; 3]) -> f64 {
     (b.x - a.x) * (c.y - a.y) - (c.x - a.x) * (b.y - a.y)
 }
 

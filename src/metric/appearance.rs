@@ -65,10 +65,12 @@ impl Appearance {
     pub fn of_face(&self, mesh: &Mesh, face: FaceId) -> Surface {
         let material = mesh.materials.get(mesh.material_of(face) as usize);
         let is_unlit = material.is_some_and(|m| m.unlit);
+        let is_single_sided = material.is_some_and(|m| !m.double_sided);
         let Some(wedges) = mesh.face_wedges.get(face.index()) else {
             let plain = self.painting(mesh, face).filter(|(_, at)| at.is_none());
             let paint = plain.map(|(painting, _)| Paint { map: painting.map, uv: [[0.0; 2]; 3] });
-            return Surface { albedo: [self.byte(1.0, mesh, face); 3], paint, is_unlit };
+            let albedo = [self.byte(1.0, mesh, face); 3];
+            return Surface { albedo, paint, is_unlit, is_single_sided };
         };
         let colour = |w: u32| self.wedges.get(w as usize).copied().unwrap_or(1.0);
         let albedo = wedges.map(|w| self.byte(colour(w), mesh, face));
@@ -80,7 +82,7 @@ impl Appearance {
             };
             Paint { map: painting.map, uv: wedges.map(place) }
         });
-        Surface { albedo, paint, is_unlit }
+        Surface { albedo, paint, is_unlit, is_single_sided }
     }
 
     /// The surface of a surviving triangle after a planned collapse.

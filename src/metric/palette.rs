@@ -239,12 +239,17 @@ mod tests {
 
     /// The share of the wall's pixels that it covers; the background is black.
     fn share_seen(mesh: &Mesh) -> f64 {
+        share_seen_where(mesh, false)
+    }
+
+    fn share_seen_where(mesh: &Mesh, hides_back_faces: bool) -> f64 {
         let params = RenderParams {
             image_size: 128,
             shading: Shading::Flat,
             ambient: 0.1,
             background: 0,
             interior_views: 0,
+            hides_back_faces,
         };
         let view_params = ViewParams {
             directions: vec![DVec3::Z],
@@ -279,6 +284,27 @@ mod tests {
         }
         assert!(is_white(&wall(Value::Null, 0.5)));
         assert!(!is_white(&wall(json!({ "alphaMode": "BLEND" }), 0.5)));
+    }
+
+    #[test]
+    fn backs_of_single_sided_materials_can_be_hidden() {
+        for (double_sided, is_turned, hides, expected) in [
+            (false, true, true, 0.0),
+            (false, true, false, 1.0),
+            (false, false, true, 1.0),
+            (true, true, true, 1.0),
+        ] {
+            let mut mesh = wall(Value::Null, 1.0);
+            mesh.materials[0].double_sided = double_sided;
+            if is_turned {
+                mesh.faces.iter_mut().for_each(|face| face.swap(1, 2));
+            }
+            assert_eq!(
+                share_seen_where(&mesh, hides),
+                expected,
+                "{double_sided} {is_turned} {hides}"
+            );
+        }
     }
 
     /// Seen from so far that several texels fall into a pixel, a fence of thin bars covers as much as from near by.

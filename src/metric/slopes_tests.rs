@@ -24,8 +24,14 @@ fn stage(shading: Shading, projection: Projection) -> (ViewSet, Mesh) {
         projection,
         light_degrees: 10.0,
     };
-    let params =
-        RenderParams { image_size: 256, shading, ambient: 0.1, background: 128, interior_views: 0 };
+    let params = RenderParams {
+        image_size: 256,
+        shading,
+        ambient: 0.1,
+        background: 128,
+        interior_views: 0,
+        hides_back_faces: false,
+    };
     let sphere = bounding_sphere(&original);
     let mut views = cameras(&sphere, &view_params);
     views[2].weight = 5;

@@ -41,8 +41,14 @@ fn pictures(mesh: &Mesh, shading: Shading) -> Pictures {
         projection: Projection::Perspective,
         light_degrees: 10.0,
     };
-    let params =
-        RenderParams { image_size: 64, shading, ambient: 0.1, background: 128, interior_views: 1 };
+    let params = RenderParams {
+        image_size: 64,
+        shading,
+        ambient: 0.1,
+        background: 128,
+        interior_views: 1,
+        hides_back_faces: false,
+    };
     Pictures::of(mesh, params, cameras(&bounding_sphere(mesh), &view_params))
 }
 

@@ -32,8 +32,14 @@ fn pictures(original: &Mesh, shading: Shading) -> Pictures {
         projection: Projection::Perspective,
         light_degrees: 10.0,
     };
-    let params =
-        RenderParams { image_size: 64, shading, ambient: 0.1, background: 128, interior_views: 0 };
+    let params = RenderParams {
+        image_size: 64,
+        shading,
+        ambient: 0.1,
+        background: 128,
+        interior_views: 0,
+        hides_back_faces: false,
+    };
     Pictures::of(original, params, cameras(&bounding_sphere(original), &view_params))
 }
 

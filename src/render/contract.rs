@@ -51,6 +51,7 @@ pub struct Look {
     pub interior_views: usize,
     pub coloured: bool,
     pub painted: bool,
+    pub hides_back_faces: bool,
 }
 
 pub const LOOKS: [Look; 6] = [
@@ -62,6 +63,7 @@ pub const LOOKS: [Look; 6] = [
         interior_views: 0,
         coloured: false,
         painted: false,
+        hides_back_faces: false,
     },
     Look {
         image_size: 128,
@@ -71,6 +73,7 @@ pub const LOOKS: [Look; 6] = [
         interior_views: 3,
         coloured: true,
         painted: false,
+        hides_back_faces: false,
     },
     Look {
         image_size: 104,
@@ -80,6 +83,7 @@ pub const LOOKS: [Look; 6] = [
         interior_views: 8,
         coloured: true,
         painted: false,
+        hides_back_faces: false,
     },
     Look {
         image_size: 256,
@@ -89,6 +93,7 @@ pub const LOOKS: [Look; 6] = [
         interior_views: 0,
         coloured: false,
         painted: false,
+        hides_back_faces: false,
     },
     Look {
         image_size: 128,
@@ -98,6 +103,7 @@ pub const LOOKS: [Look; 6] = [
         interior_views: 1,
         coloured: true,
         painted: true,
+        hides_back_faces: true,
     },
     Look {
         image_size: 64,
@@ -107,6 +113,7 @@ pub const LOOKS: [Look; 6] = [
         interior_views: 0,
         coloured: true,
         painted: true,
+        hides_back_faces: true,
     },
 ];
 
@@ -133,10 +140,12 @@ pub fn scene_of(positions: Vec<DVec3>, faces: Vec<[u32; 3]>, look: Look) -> Scen
         ambient: 0.1,
         background: 128,
         interior_views: look.interior_views,
+        hides_back_faces: look.hides_back_faces,
     };
     let albedo = |f: usize| if look.coloured { [(f * 7 % 256) as u8, 255, 90] } else { [255; 3] };
     let surface = |f: usize, corners: [u32; 3]| Surface {
         is_unlit: look.painted && f.is_multiple_of(7),
+        is_single_sided: !f.is_multiple_of(3),
         albedo: albedo(f),
         paint: look.painted.then(|| paint(f, corners.map(|v| positions[v as usize]))),
     };

@@ -88,6 +88,18 @@ pub struct Edge {
     pub dy: i32,
 }
 
+/// Which side of a surface is not drawn. A triangle turns its front to the viewer whose corners run
+/// counter-clockwise.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Cull {
+    /// Both sides are drawn.
+    Nothing,
+    /// Fronts are not.
+    Front,
+    /// Backs are not.
+    Back,
+}
+
 /// Everything needed to raster one triangle in one picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Setup {
@@ -161,20 +173,20 @@ impl Lattice {
     }
 
     /// Prepares a triangle; `None` when it covers no pixel centre for sure. `lum` are the
-    /// luminances at the corners. With `cull_front`, triangles that turn their front (corners
-    /// counter-clockwise) to the viewer are left out.
+    /// luminances at the corners.
     #[inline(always)]
-    pub fn setup(&self, p: [ScreenPoint; 3], lum: [u8; 3], cull_front: bool) -> Option<Setup> {
+    pub fn setup(&self, p: [ScreenPoint; 3], lum: [u8; 3], cull: Cull) -> Option<Setup> {
         let x = p.map(|q| i32::from(q.x));
         let y = p.map(|q| i32::from(q.y));
         let z = p.map(|q| i32::from(q.z));
         let rect = self.pixels_within(span(x), span(y));
         // y runs downwards, so a counter-clockwise triangle has a negative area here.
         let area2 = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0]);
-        if rect.is_empty() || area2 == 0 || (cull_front && area2 < 0) {
+        let flip = area2 < 0;
+        let culled = if flip { Cull::Front } else { Cull::Back };
+        if rect.is_empty() || area2 == 0 || cull == culled {
             return None;
         }
-        let flip = area2 < 0;
         let (b, c) = if flip { (2, 1) } else { (1, 2) };
         let corner = [(x[0], y[0]), (x[b], y[b]), (x[c], y[c])];
         let edges = [
@@ -329,7 +341,7 @@ mod tests {
             // d mirrors c through the middle of a b: a parallelogram a c b d.
             let d = (a.0 + b.0 - c.0, a.1 + b.1 - c.1);
             prop_assume!((0..16384).contains(&d.0) && (0..16384).contains(&d.1));
-            let tri = |p: [(i16, i16); 3]| l.setup(p.map(|q| at(q.0, q.1, 9)), [5; 3], false);
+            let tri = |p: [(i16, i16); 3]| l.setup(p.map(|q| at(q.0, q.1, 9)), [5; 3], Cull::Nothing);
             let halves = [[tri([a, b, c]), tri([b, a, d])], [tri([c, d, a]), tri([d, c, b])]];
             for j in 0..64 { for i in 0..64 {
                 let count = |h: &[Option<Setup>; 2]| h.iter().flatten().filter(|s| s.covers(i, j)).count();
@@ -345,8 +357,8 @@ mod tests {
         ) {
             let l = Lattice::new(128);
             let q = p.map(|c| at(c.0, c.1, c.2));
-            let (Some(s), Some(t)) = (l.setup(q, [0, 9, 255], false),
-                                      l.setup([q[1], q[2], q[0]], [9, 255, 0], false)) else { return Ok(()) };
+            let (Some(s), Some(t)) = (l.setup(q, [0, 9, 255], Cull::Nothing),
+                                      l.setup([q[1], q[2], q[0]], [9, 255, 0], Cull::Nothing)) else { return Ok(()) };
             for j in (s.rect.y0..=s.rect.y1).step_by(3) { for i in (s.rect.x0..=s.rect.x1).step_by(3) {
                 prop_assert_eq!(s.covers(i, j), t.covers(i, j));
                 let z = s.depth.at(i, j, DEPTH_BITS);

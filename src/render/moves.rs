@@ -153,7 +153,7 @@ impl Projected {
         } else {
             self.added_luminance(scene, surface.albedo, k, view)
         };
-        let mut setup = scene.lattice.setup(points, lum, scene.culls_front(view))?;
+        let mut setup = scene.lattice.setup(points, lum, scene.cull(view, surface))?;
         if let Some(paint) = &surface.paint {
             let shown = (points, self.places[k]);
             setup.paint = scene.texels.painted(&scene.lattice, &scene.views[view], shown, paint);

@@ -34,12 +34,13 @@ impl Nearest {
         let (ids, depths) = (vec![NOTHING; size * size], vec![i32::MAX; size * size]);
         let mut this = Self { size, ids, depths };
         let points = scene.screen_points_in(view);
-        let cull = scene.culls_front(view);
         let at = |face: &SceneFace| face.vertices.map(|v| points[v as usize]);
         let texels = scene.texels.words();
         let setup = |id: u32, corners| {
+            let face = scene.faces[id as usize].as_ref()?;
+            let cull = scene.cull(view, &face.surface);
             let mut setup = scene.lattice.setup(corners, [0; 3], cull)?;
-            if let Some(face) = scene.faces[id as usize].as_ref().filter(|f| scene.has_holes(f)) {
+            if scene.has_holes(face) {
                 setup.paint = scene.painted(view, face);
             }
             Some(setup)

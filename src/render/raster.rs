@@ -94,11 +94,12 @@ pub(super) fn for_each_setup(
     wanted: impl Fn(u32) -> bool,
     mut on: impl FnMut(u32, &SceneFace, &Setup),
 ) {
-    let (lattice, cull) = (&scene.lattice, scene.culls_front(view));
     let points = scene.screen_points_in(view);
     for (id, face) in (0_u32..).zip(&scene.faces).filter(|(id, _)| wanted(*id)) {
         let Some(face) = face else { continue };
-        if let Some(s) = lattice.setup(face.vertices.map(|v| points[v as usize]), [0; 3], cull) {
+        let (corners, cull) =
+            (face.vertices.map(|v| points[v as usize]), scene.cull(view, &face.surface));
+        if let Some(s) = scene.lattice.setup(corners, [0; 3], cull) {
             on(id, face, &s);
         }
     }

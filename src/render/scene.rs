@@ -10,7 +10,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::{
-    lattice::{Lattice, ScreenPoint, Setup},
+    lattice::{Cull, Lattice, ScreenPoint, Setup},
     moves::Move,
     paint::{Paint, Painted, Texels},
     view::View,
@@ -39,6 +39,8 @@ pub struct RenderParams {
     pub background: u8,
     /// The first so many views cull front faces and so see the interior.
     pub interior_views: usize,
+    /// The other views cull back faces of single-sided surfaces.
+    pub hides_back_faces: bool,
 }
 
 /// What a triangle's light falls on.
@@ -50,11 +52,14 @@ pub struct Surface {
     pub paint: Option<Paint>,
     /// As bright from everywhere: no light falls on it.
     pub is_unlit: bool,
+    /// Meant to be seen from its front alone.
+    pub is_single_sided: bool,
 }
 
 impl Surface {
     /// The same everywhere.
-    pub const WHITE: Self = Self { albedo: [255; 3], paint: None, is_unlit: false };
+    pub const WHITE: Self =
+        Self { albedo: [255; 3], paint: None, is_unlit: false, is_single_sided: false };
 
     /// Takes corner `from` of another surface as corner `k`.
     pub fn set_corner(&mut self, k: usize, other: &Self, from: usize) {
@@ -159,16 +164,23 @@ impl Scene {
         self.views.iter().map(move |v| self.lattice.snap(v.project(p)))
     }
 
-    /// Whether this view culls front faces.
-    pub fn culls_front(&self, view: usize) -> bool {
-        view < self.params.interior_views
+    /// Which side of a surface this view does not draw.
+    #[inline]
+    pub fn cull(&self, view: usize, surface: &Surface) -> Cull {
+        if view < self.params.interior_views {
+            Cull::Front
+        } else if self.params.hides_back_faces && surface.is_single_sided {
+            Cull::Back
+        } else {
+            Cull::Nothing
+        }
     }
 
     /// Prepares a triangle that is in the scene; `None` when it covers no pixel for sure.
     pub fn set_up(&self, view: usize, face: &SceneFace) -> Option<Setup> {
         let points = face.vertices.map(|v| self.screen_points(v)[view]);
         let lum = self.face_luminance(view, face);
-        let mut setup = self.lattice.setup(points, lum, self.culls_front(view))?;
+        let mut setup = self.lattice.setup(points, lum, self.cull(view, &face.surface))?;
         setup.paint = self.painted(view, face);
         Some(setup)
     }

@@ -121,11 +121,11 @@ fn update_view(
     if rect.is_empty() {
         return;
     }
-    let cull = scene.culls_front(view);
     for &id in &mv.removed {
         let Some(face) = &scene.faces[id as usize] else { continue };
         let points = face.vertices.map(|v| scene.screen_points(v)[view]);
         // Where it was drawn does not depend on its luminance.
+        let cull = scene.cull(view, &face.surface);
         if let Some(s) = scene.lattice.setup(points, [0; 3], cull) {
             raster::for_each_pixel(&s, |i, j| lists.remove(i, j, id));
         }

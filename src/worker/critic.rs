@@ -18,6 +18,7 @@ pub(super) fn look(spec: &Spec, original: &Mesh) -> Look {
         appearance: if is_white(original) { Appearance::White } else { Appearance::Coloured },
         ambient: render.ambient,
         background: render.background,
+        hides_back_faces: render.hide_back_faces,
         ..Look::default()
     }
 }

@@ -197,6 +197,7 @@ pub fn pictures(spec: &Spec, original: &Mesh) -> Pictures {
         ambient: r.ambient,
         background: (r.background * 255.0 + 0.5) as u8,
         interior_views: r.interior_views as usize,
+        hides_back_faces: r.hide_back_faces,
     };
     let mut views = cameras(&bounding_sphere(original), &view_params);
     views.iter_mut().zip(&r.view_weights).for_each(|(view, weight)| view.weight = *weight);

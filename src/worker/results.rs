@@ -5,7 +5,7 @@ use std::{fmt::Write as _, fs, path::Path, time::Instant};
 use serde::Serialize;
 
 use crate::{
-    compare,
+    compare::{self, Look},
     io::IngestReport,
     jobs::{event::EnergySample, spec::Spec},
     mesh::{Mesh, Stage},
@@ -265,7 +265,8 @@ fn write_pictures(
     let chain: Vec<&Mesh> = levels.in_order().map(|l| &l.mesh).collect();
     let drawn = look(spec, original);
     let with_look = |mut params: compare::SheetParams| {
-        (params.look.shading, params.look.appearance) = (drawn.shading, drawn.appearance);
+        let Look { shading, appearance, hides_back_faces, .. } = drawn;
+        params.look = Look { shading, appearance, hides_back_faces, ..params.look };
         params
     };
     let params = with_look(compare::SheetParams::default());

@@ -37,6 +37,7 @@ fn looks() -> Vec<(&'static str, Render)> {
         ("lit aside", Render { light_degrees: 70.0, ..plain.clone() }),
         ("smooth", Render { shading: Shading::Smooth, ..plain.clone() }),
         ("interior", Render { interior_views: 3, ..plain.clone() }),
+        ("backs hidden", Render { hide_back_faces: true, ..plain.clone() }),
         (
             "all at once",
             Render {

@@ -109,6 +109,8 @@ pub struct Render {
     pub shading: Shading,
     /// How many of the views cull front faces, so that they see the interior.
     pub interior_views: u32,
+    /// The other views cull back faces of single-sided materials.
+    pub hide_back_faces: bool,
     /// How much each view counts, 0 to 16, one weight a view; empty: all the same.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub view_weights: Vec<u32>,
@@ -127,6 +129,7 @@ impl Default for Render {
             light_degrees: 10.0,
             shading: Shading::Flat,
             interior_views: 0,
+            hide_back_faces: false,
             view_weights: Vec::new(),
         }
     }

@@ -281,11 +281,11 @@ impl Stacks {
 /// some faces behind them.
 fn pack_faces(scene: &Scene, view: usize, faces: Range<usize>) -> (Vec<Word>, u32) {
     let (mut bands, mut triangles): (Vec<Word>, Vec<Word>) = (Vec::new(), Vec::new());
-    let cull = scene.culls_front(view);
     for id in faces {
         let Some(face) = &scene.faces[id] else { continue };
         let points = face.vertices.map(|v| scene.screen_points(v)[view]);
         // Most triangles of a dense model cover no pixel: shade only those that may.
+        let cull = scene.cull(view, &face.surface);
         if scene.lattice.setup(points, [0; 3], cull).is_none() {
             continue;
         }

@@ -145,6 +145,7 @@ fn render_to_wire(render: &Render) -> v1::RenderSpec {
         light_degrees: Some(render.light_degrees),
         shading: to_wire(&SHADINGS, render.shading),
         interior_views: render.interior_views,
+        hide_back_faces: render.hide_back_faces,
         view_weights: render.view_weights.clone(),
     }
 }
@@ -258,6 +259,7 @@ fn render_from_wire(wire: &v1::RenderSpec, faults: &mut Vec<Fault>) -> Render {
         light_degrees: wire.light_degrees.unwrap_or(default.light_degrees),
         shading: from_wire(&SHADINGS, wire.shading, "render.shading", faults),
         interior_views: wire.interior_views,
+        hide_back_faces: wire.hide_back_faces,
         view_weights: wire.view_weights.clone(),
     }
 }
@@ -328,6 +330,7 @@ mod tests {
                     light_degrees: x[5],
                     shading: words.3.0,
                     interior_views: n[2],
+                    hide_back_faces: n[0] % 2 == 0,
                     view_weights: levels.0,
                 },
                 optimize: Optimize {
