@@ -4,6 +4,7 @@
 use std::collections::BTreeMap;
 
 use lookalike::{
+    compare::sample_mesh,
     io::{Limits, read, write_glb},
     jobs::spec::{Effort, Projection, Render, Shading, Spec},
     mesh::{Mesh, shapes},
@@ -37,7 +38,6 @@ fn looks() -> Vec<(&'static str, Render)> {
         ("lit aside", Render { light_degrees: 70.0, ..plain.clone() }),
         ("smooth", Render { shading: Shading::Smooth, ..plain.clone() }),
         ("interior", Render { interior_views: 3, ..plain.clone() }),
-        ("backs hidden", Render { hide_back_faces: true, ..plain.clone() }),
         (
             "all at once",
             Render {
@@ -88,6 +88,21 @@ fn devices_draw_every_look_alike() {
             assert_eq!(native.timeless(), device.timeless(), "{what} on {}", adapter.name);
         }
     }
+}
+
+/// The sample has an open border, through which its inside is seen.
+#[test]
+fn backs_of_single_sided_materials_can_be_hidden() {
+    let energy_of = |double_sided: bool, hide_back_faces: bool| {
+        let mut mesh = sample_mesh(3, 2500);
+        mesh.materials.iter_mut().for_each(|m| m.double_sided = double_sided);
+        let render = Render { n_views: 6, image_size: 64, hide_back_faces, ..Render::default() };
+        let spec = fast(vec![800], render);
+        energy(&job(&spec, "sample.glb", &write_glb(&mesh).unwrap(), "cpu"))
+    };
+    let shown = energy_of(false, false);
+    assert_eq!(energy_of(true, true), shown, "both sides are to be seen");
+    assert_ne!(energy_of(false, true), shown);
 }
 
 /// A ball in a ball: no view from outside sees the inner one.
