@@ -72,7 +72,7 @@ const MAY_IMPORT: [(&str, &[&str]); 18] = [
 
 /// External crate → the only modules that may name it. Wire stubs live in `service`; the worker
 /// speaks to a server through them, and the command line is a client.
-const SOLE_OWNERS: [(&str, &[&str]); 12] = [
+const SOLE_OWNERS: [(&str, &[&str]); 13] = [
     ("gltf", &["io"]),
     ("gltf_json", &["io"]),
     ("rawzip", &["io"]),
@@ -82,6 +82,7 @@ const SOLE_OWNERS: [(&str, &[&str]); 12] = [
     ("meshopt", &["cluster", "io"]),
     ("plotters", &["compare"]),
     ("sqlx", &["jobs"]),
+    ("object_store", &["jobs"]),
     ("axum", &["telemetry"]),
     ("tonic", &["service", "worker", "cli"]),
     ("prost", &["service", "worker", "cli"]),
