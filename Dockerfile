@@ -25,7 +25,7 @@ RUN --mount=type=cache,target=/usr/local/cargo/registry \
 
 FROM debian:bookworm-slim
 RUN apt-get update \
-    && apt-get install --yes --no-install-recommends libvulkan1 mesa-vulkan-drivers \
+    && apt-get install --yes --no-install-recommends ca-certificates libvulkan1 mesa-vulkan-drivers \
     && rm -r /var/lib/apt/lists/* \
     && useradd --uid 7420 --no-create-home --home-dir /var/lib/lookalike --shell /usr/sbin/nologin lookalike \
     # A new volume takes over owner and mode of what the image has there.

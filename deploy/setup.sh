@@ -14,6 +14,8 @@ command -v c++ >/dev/null 2>&1 || missing="$missing g++"
 ls /usr/share/vulkan/icd.d/lvp_icd*.json >/dev/null 2>&1 || missing="$missing mesa-vulkan-drivers"
 if [ "${1:-}" = test ]; then
     python3 -c 'import ensurepip, venv' >/dev/null 2>&1 || missing="$missing python3-venv"
+    ls /usr/lib/postgresql/*/bin/initdb >/dev/null 2>&1 || command -v initdb >/dev/null 2>&1 ||
+        missing="$missing postgresql"
 fi
 [ -n "$missing" ] || exit 0
 

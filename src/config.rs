@@ -1,10 +1,14 @@
 //! The configuration of a server, read once from the command line and the environment, and checked
 //! as a whole: every fault is reported at once.
 
-use std::{net::SocketAddr, path::PathBuf, time::Duration};
+use std::{
+    net::SocketAddr,
+    path::{Path, PathBuf},
+    time::Duration,
+};
 
 use clap::Args;
-use lookalike::jobs::{Limits, lease::Terms};
+use lookalike::jobs::{Limits, Places, blobs::BucketName, lease::Terms, store::Address};
 
 /// Flags of `lookalike serve`. Each can also be given as an environment variable.
 #[derive(Args, Clone, Debug)]
@@ -15,6 +19,8 @@ pub(crate) struct ServeArgs {
     /// Where jobs, meshes and results are kept.
     #[arg(long, env = "LOOKALIKE_DATA_DIR", value_name = "DIR")]
     pub(crate) data_dir: PathBuf,
+    #[command(flatten)]
+    pub(crate) stores: StoreArgs,
     /// Worker processes to run beside the server; 0 for none.
     #[arg(long, env = "LOOKALIKE_WORKERS", default_value_t = 1, value_name = "N")]
     pub(crate) workers: usize,
@@ -50,12 +56,44 @@ pub(crate) struct ServeArgs {
     pub(crate) log_json: bool,
 }
 
+/// Where jobs and bytes are kept when not in the data directory.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct StoreArgs {
+    /// PostgreSQL database for the jobs, which several servers may share:
+    /// postgres://USER:PASSWORD@HOST/DATABASE.
+    #[arg(long, env = "LOOKALIKE_DATABASE", value_name = "URL", hide_env_values = true)]
+    database: Option<String>,
+    /// Bucket for meshes and results, s3://BUCKET/PREFIX; credentials, region and endpoint are read
+    /// from the usual AWS_* variables.
+    #[arg(long, env = "LOOKALIKE_OBJECTS", value_name = "URL")]
+    objects: Option<String>,
+}
+
+impl StoreArgs {
+    /// All places, with what is wrong with them added to `faults`.
+    pub(crate) fn places(&self, data_dir: &Path, faults: &mut Vec<String>) -> Places {
+        let mut places = Places::from(data_dir);
+        // An empty variable is none.
+        let given = |url: &Option<String>| url.clone().filter(|url| !url.is_empty());
+        if let Some(url) = given(&self.database) {
+            // The URL may hold a password.
+            let fault = |text| faults.push(format!("--database: {text}"));
+            places.database = Address::parse(&url).map_err(fault).ok();
+        }
+        if let Some(url) = given(&self.objects) {
+            let fault = |text| faults.push(format!("--objects {text}"));
+            places.bucket = BucketName::parse(&url).map_err(fault).ok();
+        }
+        places
+    }
+}
+
 /// A server's configuration, sound as a whole.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct ServeConfig {
     pub(crate) listen: SocketAddr,
     pub(crate) metrics_listen: SocketAddr,
-    pub(crate) data_dir: PathBuf,
+    pub(crate) places: Places,
     pub(crate) n_workers: usize,
     pub(crate) device: String,
     pub(crate) terms: Terms,
@@ -93,13 +131,14 @@ impl ServeArgs {
         if self.max_attempts == 0 {
             faults.push("--max-attempts 0: use at least 1".into());
         }
+        let places = self.stores.places(&self.data_dir, &mut faults);
         if !faults.is_empty() {
             return Err(faults);
         }
         Ok(ServeConfig {
             listen: self.listen,
             metrics_listen: self.metrics_listen,
-            data_dir: self.data_dir,
+            places,
             n_workers: self.workers,
             device: self.device,
             terms: Terms { lease, heartbeat, max_lost: self.max_attempts },
@@ -155,9 +194,12 @@ mod tests {
             "--lease-secs=5",
             "--drain-secs=nan",
             "--max-attempts=0",
+            "--database=mysql://u:secret@h/db",
+            "--objects=farm",
         ]);
         let faults = faults.unwrap_err();
-        assert_eq!(faults.len(), 6, "{faults:#?}");
+        assert_eq!(faults.len(), 8, "{faults:#?}");
+        assert!(!faults.concat().contains("secret"), "{faults:#?}");
         assert!(faults[0].contains("access control is not built yet"));
     }
 }

@@ -72,7 +72,7 @@ const MAY_IMPORT: [(&str, &[&str]); 18] = [
 
 /// External crate → the only modules that may name it. Wire stubs live in `service`; the worker
 /// speaks to a server through them, and the command line is a client.
-const SOLE_OWNERS: [(&str, &[&str]); 14] = [
+const SOLE_OWNERS: [(&str, &[&str]); 15] = [
     ("basisu", &["io"]),
     ("draco_core", &["io"]),
     ("gltf", &["io"]),
@@ -84,6 +84,7 @@ const SOLE_OWNERS: [(&str, &[&str]); 14] = [
     ("meshopt", &["cluster", "io"]),
     ("plotters", &["compare"]),
     ("sqlx", &["jobs"]),
+    ("object_store", &["jobs"]),
     ("axum", &["telemetry"]),
     ("tonic", &["service", "worker", "cli"]),
     ("prost", &["service", "worker", "cli"]),

@@ -8,7 +8,12 @@ use std::{
 
 use clap::Args;
 use lookalike::{
-    jobs::{Jobs, error::Error},
+    jobs::{
+        Jobs,
+        blobs::{Blobs, BucketName},
+        error::Error,
+        store::{Address, Store},
+    },
     render::{AdapterInfo, adapters},
 };
 
@@ -16,6 +21,7 @@ use super::{
     exit::{Exit, Failure},
     show,
 };
+use crate::config::StoreArgs;
 
 /// Flags of `lookalike doctor`.
 #[derive(Args, Debug)]
@@ -23,6 +29,8 @@ pub(crate) struct DoctorArgs {
     /// Also check this data directory.
     #[arg(long, env = "LOOKALIKE_DATA_DIR", value_name = "DIR")]
     data_dir: Option<PathBuf>,
+    #[command(flatten)]
+    stores: StoreArgs,
     /// The server's address.
     #[arg(long, env = "LOOKALIKE_LISTEN", default_value = "127.0.0.1:7420")]
     listen: SocketAddr,
@@ -53,7 +61,19 @@ struct Finding {
 
 pub(crate) async fn run(args: DoctorArgs) -> Result<(), Failure> {
     let mut findings = vec![vulkan(&driver_files()), devices(), port(args.listen)];
-    if let Some(data_dir) = &args.data_dir {
+    let mut faults = Vec::new();
+    let data_dir = args.data_dir.as_deref();
+    let places = args.stores.places(data_dir.unwrap_or(Path::new(".")), &mut faults);
+    if !faults.is_empty() {
+        return Err(Failure::faults(&faults));
+    }
+    if let Some(address) = &places.database {
+        findings.push(database(address).await);
+    }
+    if let Some(bucket) = &places.bucket {
+        findings.push(objects(bucket).await);
+    }
+    if let Some(data_dir) = data_dir.filter(|_| places.database.is_none()) {
         findings.push(store(data_dir).await);
     }
     for finding in &findings {
@@ -124,6 +144,43 @@ fn port(address: SocketAddr) -> Finding {
         }
     };
     Finding { what: "port", grade, text }
+}
+
+async fn database(address: &Address) -> Finding {
+    let what = "database";
+    match Store::probe(address).await {
+        Ok((version, true)) => {
+            Finding { what, grade: Grade::Good, text: format!("PostgreSQL {version} answers") }
+        }
+        Ok((version, false)) => {
+            let text = format!(
+                "PostgreSQL {version} answers, but this user may not make tables in the database: \
+                 GRANT CREATE ON SCHEMA public, or make the user its owner"
+            );
+            Finding { what, grade: Grade::Bad, text }
+        }
+        Err(error) => {
+            let text = format!("{error}; mend it, or choose another --database");
+            Finding { what, grade: Grade::Bad, text }
+        }
+    }
+}
+
+async fn objects(bucket: &BucketName) -> Finding {
+    let what = "objects";
+    match Blobs::probe(bucket).await {
+        Ok(()) => {
+            let text = format!("{bucket}: written, read and removed");
+            Finding { what, grade: Grade::Good, text }
+        }
+        Err(error) => {
+            let text = format!(
+                "{bucket}: {error}; check that the bucket exists, AWS_ACCESS_KEY_ID, \
+                 AWS_SECRET_ACCESS_KEY, AWS_REGION and AWS_ENDPOINT_URL, or choose other --objects"
+            );
+            Finding { what, grade: Grade::Bad, text }
+        }
+    }
 }
 
 async fn store(data_dir: &Path) -> Finding {

@@ -28,14 +28,14 @@ const GRACE: Duration = Duration::from_secs(3);
 pub(crate) async fn run(args: ServeArgs) -> Result<(), Failure> {
     let config = args.check().map_err(|faults| Failure::faults(&faults))?;
     let page = telemetry::install_metrics().context("metrics cannot be collected")?;
-    let jobs = Jobs::open(&config.data_dir, config.terms.clone(), config.limits.clone());
+    let jobs = Jobs::open(config.places.clone(), config.terms.clone(), config.limits.clone());
     let jobs = jobs.await.map_err(|error| Failure::new(Exit::Failed, error.to_string()))?;
     let listener = telemetry::bind("--listen", config.listen).await.context("gRPC")?;
     let metrics =
         telemetry::bind("--metrics-listen", config.metrics_listen).await.context("metrics")?;
     let address = listener.local_addr().context("gRPC")?;
     show::print(&format!("listening on http://{address}\n"));
-    tracing::info!(%address, metrics = %config.metrics_listen, data_dir = %config.data_dir.display(), "ready");
+    tracing::info!(%address, metrics = %config.metrics_listen, data_dir = %config.places.data_dir.display(), "ready");
 
     let observer = Arc::new(Observer::new());
     let (stop_workers, stop_serving) = (CancellationToken::new(), CancellationToken::new());
@@ -126,8 +126,8 @@ fn refresh(jobs: Jobs, observer: Arc<Observer>) -> telemetry::Refresh {
 
 fn crew(config: &ServeConfig, url: &str) -> Crew {
     // Children are started in whatever folder; their paths must not depend on it.
-    let data_dir =
-        std::path::absolute(&config.data_dir).unwrap_or_else(|_| config.data_dir.clone());
+    let data_dir = std::path::absolute(&config.places.data_dir)
+        .unwrap_or_else(|_| config.places.data_dir.clone());
     Crew {
         url: url.into(),
         device: config.device.clone(),

@@ -1,6 +1,6 @@
 //! What workers ask for: work, and places for what they make of it.
 
-use std::{path::PathBuf, time::Duration};
+use std::time::Duration;
 
 use tokio::{
     sync::mpsc,
@@ -10,7 +10,7 @@ use tokio_util::bytes::Bytes;
 
 use super::{
     Jobs,
-    blobs::is_safe_name,
+    blobs::{Blob, is_safe_name},
     clients::Announced,
     error::{Error, Result},
     event::Report,
@@ -47,9 +47,9 @@ impl Jobs {
         self.0.store.heartbeat(lease, &self.0.terms).await
     }
 
-    /// The file of an input of the job under `lease`: of the mesh of that hash, which the job must
-    /// name, or of the original where the hash is empty.
-    pub async fn input(&self, lease: &Lease, hash: &str) -> Result<PathBuf> {
+    /// An input of the job under `lease`: the mesh of that hash, which the job must name, or the
+    /// original where the hash is empty.
+    pub async fn input(&self, lease: &Lease, hash: &str) -> Result<Blob> {
         let job = self.0.store.check(lease).await?;
         let simplified = job.spec.simplified.as_ref().map(|input| &input.mesh);
         let wanted = if hash.is_empty() { &job.mesh } else { hash };
@@ -57,7 +57,9 @@ impl Jobs {
             let text = format!("meshes/{} is no input of {}", hash.escape_default(), job.name());
             return Err(Error::invalid("mesh", text));
         }
-        Ok(self.0.blobs.mesh(wanted))
+        let missing = || Error::NotFound(format!("meshes/{wanted}"));
+        let size = self.0.store.mesh_size(wanted).await?.ok_or_else(missing)?;
+        Ok(self.0.blobs.mesh(wanted, size))
     }
 
     /// Appends to the log. `first` is the number (from 0) of the attempt's event that `reports`
@@ -74,17 +76,13 @@ impl Jobs {
             let cancel_requested = job.cancel_requested;
             return Ok(Appended { held: job.appended, cancel_requested });
         }
-        let at = lease.clone();
-        let entries = self
-            .blocking(move |blobs| {
-                let (segments, entries) = segment::pack(first, reports)?;
-                for segment in segments {
-                    let path = blobs.segment(&at.job, at.epoch, &segment.name);
-                    blobs.commit(blobs.stage_bytes(&segment.packed)?, &path)?;
-                }
-                Ok(entries)
-            })
-            .await?;
+        let pack = tokio::task::spawn_blocking(move || segment::pack(first, reports));
+        let (segments, entries) = pack.await??;
+        for segment in segments {
+            let put =
+                self.0.blobs.put_segment(segment.packed, &lease.job, lease.epoch, &segment.name);
+            put.await?;
+        }
         let appended = self.0.store.append(lease, first, &entries).await?;
         self.0.signals.log_grew(&lease.job);
         Ok(appended)
@@ -103,13 +101,11 @@ impl Jobs {
         }
         self.0.store.check(lease).await?;
         let limit = self.0.limits.max_artifact_bytes;
-        let staged = self.blocking(move |blobs| blobs.stage(chunks, limit)).await?;
+        let staged = self.0.blobs.stage(chunks, limit).await?;
         let announced = Announced { size: artifact.size, hash: artifact.blake3.clone() };
         announced.check(&artifact.file, staged.size, &staged.hash)?;
         let stored = Artifact { size: staged.size, blake3: staged.hash.clone(), ..artifact };
-        let (at, file) = (lease.clone(), stored.file.clone());
-        self.blocking(move |blobs| blobs.commit(staged, &blobs.artifact(&at.job, at.epoch, &file)))
-            .await?;
+        self.0.blobs.commit_artifact(staged, &lease.job, lease.epoch, &stored.file).await?;
         self.0.store.add_artifact(lease, &stored).await
     }
 
@@ -117,8 +113,7 @@ impl Jobs {
     pub async fn complete(&self, lease: &Lease, outcome: &Outcome) -> Result<Job> {
         let job = self.0.store.complete(lease, outcome, self.0.terms.max_lost).await?;
         if job.state == State::Succeeded {
-            let (id, epoch) = (job.id.clone(), job.epoch);
-            self.blocking(move |blobs| blobs.remove_artifacts_before(&id, epoch)).await?;
+            self.0.blobs.remove_artifacts_before(&job.id, job.epoch).await?;
         }
         let mut jobs = self.announce(vec![job]);
         jobs.pop().ok_or_else(|| Error::NotFound(format!("jobs/{}", lease.job)))

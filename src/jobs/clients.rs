@@ -1,13 +1,11 @@
 //! What clients ask for: meshes in, jobs, artifacts out.
 
-use std::path::PathBuf;
-
 use tokio::sync::mpsc;
 use tokio_util::bytes::Bytes;
 
 use super::{
     Jobs,
-    blobs::{is_hash, is_safe_name},
+    blobs::{Blob, is_hash, is_safe_name},
     error::{Error, Result},
     spec::Fault,
     state::State,
@@ -51,6 +49,9 @@ impl Announced {
 impl Jobs {
     /// A mesh that is stored already.
     pub async fn find_mesh(&self, hash: &str) -> Result<Option<StoredMesh>> {
+        if !is_hash(hash) {
+            return Ok(None);
+        }
         let size = self.0.store.mesh_size(hash).await?;
         Ok(size.map(|size| StoredMesh { hash: hash.into(), size, existed: true }))
     }
@@ -71,15 +72,17 @@ impl Jobs {
         chunks: mpsc::Receiver<Bytes>,
     ) -> Result<StoredMesh> {
         let limit = self.0.limits.max_mesh_bytes;
-        let staged = self.blocking(move |blobs| blobs.stage(chunks, limit)).await?;
+        let staged = self.0.blobs.stage(chunks, limit).await?;
         announced.check("the mesh", staged.size, &staged.hash)?;
         let (hash, size) = (staged.hash.clone(), staged.size);
-        self.blocking(move |blobs| {
-            let path = blobs.mesh(&staged.hash);
-            blobs.commit(staged, &path)
-        })
-        .await?;
-        let existed = !self.0.store.add_mesh(&hash, size).await?;
+        self.0.blobs.commit_mesh(staged).await?;
+        let lock = self.0.store.lock_mesh(&hash).await?;
+        // Another server may have swept it before a row told of it.
+        if !self.0.blobs.has_mesh(&hash).await? {
+            let fault = "it was swept away on its way in".into();
+            return Err(Error::Corrupt { what: "the mesh".into(), fault });
+        }
+        let existed = !lock.add(size).await?;
         Ok(StoredMesh { hash, size, existed })
     }
 
@@ -158,8 +161,7 @@ impl Jobs {
     pub async fn delete(&self, id: &str) -> Result<()> {
         self.0.store.delete(id).await?;
         self.0.signals.log_grew(id);
-        let id = id.to_owned();
-        self.blocking(move |blobs| blobs.remove_job(&id)).await
+        self.0.blobs.remove_job(id).await
     }
 
     /// The artifacts of an ended job, by name; none before.
@@ -167,13 +169,13 @@ impl Jobs {
         Ok(self.0.store.artifacts(id).await?.1)
     }
 
-    /// One artifact of an ended job, and its file.
-    pub async fn artifact(&self, id: &str, file: &str) -> Result<(Artifact, PathBuf)> {
+    /// One artifact of an ended job, and its bytes.
+    pub async fn artifact(&self, id: &str, file: &str) -> Result<(Artifact, Blob)> {
         let (job, artifacts) = self.0.store.artifacts(id).await?;
         let missing = || Error::NotFound(format!("jobs/{id}/artifacts/{file}"));
         let artifact = artifacts.into_iter().find(|a| a.file == file).ok_or_else(missing)?;
-        let path = self.0.blobs.artifact(id, job.epoch, &artifact.file);
-        Ok((artifact, path))
+        let blob = self.0.blobs.artifact(id, job.epoch, &artifact.file, artifact.size);
+        Ok((artifact, blob))
     }
 }
 
@@ -235,20 +237,21 @@ mod tests {
         let (file_name, spec) = ("a.ply".into(), Spec::optimizing(input));
         let new = NewJob { request_id: String::new(), mesh: used.clone(), file_name, spec };
         jobs.create(new, vec![]).await.unwrap();
-        let file = jobs.0.blobs.mesh(&unused);
         jobs.close().await;
         drop(jobs);
         // Young as it is, it stays.
         let jobs = open(Duration::from_hours(1)).await;
-        assert!(jobs.reuse_mesh(&unused).await.unwrap().is_some() && file.exists());
+        assert!(jobs.reuse_mesh(&unused).await.unwrap().is_some());
+        assert!(jobs.0.blobs.has_mesh(&unused).await.unwrap());
         jobs.close().await;
         drop(jobs);
         // At an age of nothing only what a job names does.
         let jobs = open(Duration::ZERO).await;
-        assert!(jobs.find_mesh(&unused).await.unwrap().is_none() && !file.exists());
+        assert!(jobs.find_mesh(&unused).await.unwrap().is_none());
+        assert!(!jobs.0.blobs.has_mesh(&unused).await.unwrap());
         for named in [used, crude] {
             assert!(jobs.find_mesh(&named).await.unwrap().is_some());
-            assert!(jobs.0.blobs.mesh(&named).exists());
+            assert!(jobs.0.blobs.has_mesh(&named).await.unwrap());
         }
     }
 }

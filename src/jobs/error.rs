@@ -69,6 +69,12 @@ pub enum Error {
         .0.display()
     )]
     InUse(PathBuf),
+    /// The database tells of other objects.
+    #[error(
+        "the objects in {0} are not those that the database tells of: give every server that shares \
+         it the same --objects s3://..., and keep database and objects together when you move them"
+    )]
+    OtherObjects(String),
     /// The database failed.
     #[error("the job database failed: {0}")]
     Sql(#[from] sqlx::Error),
@@ -91,12 +97,49 @@ pub enum Error {
         /// Why.
         source: io::Error,
     },
+    /// The object store failed.
+    #[error("object {key}: {source}")]
+    Objects {
+        /// Which object, or which bucket.
+        key: String,
+        /// Why.
+        source: object_store::Error,
+    },
+    /// The object store's address would send everything over the network in the clear.
+    #[error(
+        "the object store {0} is not on this machine and not encrypted: use an https:// endpoint"
+    )]
+    PlainEndpoint(String),
     /// A background task died.
     #[error("a background task ended early: {0}")]
     Task(#[from] tokio::task::JoinError),
 }
 
+/// What a database says when it may answer later: SQLSTATE, or SQLite's code for a busy database.
+#[rustfmt::skip]
+const PASSING: [&str; 14] = [
+    // Serialization failure, deadlock, lock or statement timeout, idle transaction.
+    "40001", "40P01", "55P03", "57014", "25P03",
+    // Shutting down, crashed, starting up, a stand-by server, no room for connections.
+    "57P01", "57P02", "57P03", "25006", "53300",
+    "5", "261", "517", "773",
+];
+
 impl Error {
+    /// Nothing is wrong with the request: the same may work in a moment.
+    pub fn is_passing(&self) -> bool {
+        match self {
+            // Objects: after all attempts of their client.
+            Self::Sql(sqlx::Error::Io(_) | sqlx::Error::PoolTimedOut)
+            | Self::Objects { source: object_store::Error::Generic { .. }, .. } => true,
+            Self::Sql(sqlx::Error::Database(error)) => {
+                // Class 08: the connection.
+                error.code().is_some_and(|code| PASSING.contains(&&*code) || code.starts_with("08"))
+            }
+            _ => false,
+        }
+    }
+
     /// Wraps an I/O error with its path.
     pub fn io(path: impl Into<PathBuf>) -> impl FnOnce(io::Error) -> Self {
         let path = path.into();

@@ -79,12 +79,10 @@ impl Follower {
 
     async fn read(&mut self, epoch: u64, range: SegmentRange) -> Result<Vec<u8>> {
         if self.segment.0 != range.segment {
-            let (id, name) = (self.id.clone(), range.segment.clone());
-            let unpack = self.jobs.blocking(move |blobs| {
-                let path = blobs.segment(&id, epoch, &name);
-                segment::unpack(&blobs.read(&path)?).map_err(Error::io(path))
-            });
-            self.segment = (range.segment, unpack.await?);
+            let packed = self.jobs.0.blobs.segment(&self.id, epoch, &range.segment).await?;
+            let unpacked = tokio::task::spawn_blocking(move || segment::unpack(&packed)).await?;
+            let unpacked = unpacked.map_err(Error::io(&range.segment))?;
+            self.segment = (range.segment, unpacked);
         }
         let span = range.offset as usize..(range.offset + range.len) as usize;
         let fault = || Error::Corrupt {

@@ -1,11 +1,12 @@
 //! Jobs: specification, states, leases, events, stores. Knows nothing of geometry or of gRPC.
 //!
-//! [`Jobs`] is a cloneable handle on one data directory:
+//! [`Jobs`] is a cloneable handle on one data directory, and on a database and a bucket elsewhere where
+//! they are named:
 //!
 //! ```text
 //! DIR/lock           held by the server that owns the directory
-//! DIR/jobs.sqlite3   jobs, leases, event log, manifests (store/)
-//! DIR/objects/       meshes, record segments, artifacts (blobs.rs)
+//! DIR/jobs.sqlite3   jobs, leases, event log, manifests (store/), unless they are in PostgreSQL
+//! DIR/objects/       meshes, record segments, artifacts (blobs/), or what is on its way to a bucket
 //! DIR/workers/       one lock file for each local worker, held while it lives
 //! ```
 //!
@@ -21,6 +22,7 @@ pub mod error;
 pub mod event;
 pub mod follow;
 pub mod lease;
+pub mod places;
 pub mod segment;
 pub mod signals;
 pub mod spec;
@@ -29,12 +31,16 @@ pub mod store;
 
 mod attempts;
 
+pub use places::Places;
+
 use std::{
     fs::{self, File, TryLockError},
     path::{Path, PathBuf},
     sync::Arc,
-    time::Duration,
+    time::{Duration, SystemTime},
 };
+
+use tokio::task::JoinSet;
 
 use self::{
     blobs::Blobs,
@@ -68,6 +74,9 @@ impl Default for Limits {
     }
 }
 
+/// A mesh without a row is an orphan when it was written so long ago.
+const ORPHANS_STAY: Duration = Duration::from_hours(1);
+
 /// A data directory and everything in it.
 #[derive(Clone, Debug)]
 pub struct Jobs(Arc<Inner>);
@@ -76,7 +85,9 @@ pub struct Jobs(Arc<Inner>);
 struct Inner {
     store: Store,
     blobs: Blobs,
-    signals: Signals,
+    signals: Arc<Signals>,
+    /// Pass signals on between servers.
+    _couriers: JoinSet<()>,
     terms: Terms,
     limits: Limits,
     workers: PathBuf,
@@ -86,16 +97,27 @@ struct Inner {
 
 impl Jobs {
     /// Opens a data directory, creating it; fails when another process owns it.
-    pub async fn open(data_dir: &Path, terms: Terms, limits: Limits) -> Result<Self> {
+    pub async fn open(places: impl Into<Places>, terms: Terms, limits: Limits) -> Result<Self> {
+        let places = places.into();
+        let data_dir = &places.data_dir;
         fs::create_dir_all(data_dir).map_err(Error::io(data_dir))?;
         let lock = lock(data_dir)?;
         let workers = data_dir.join("workers");
         fs::create_dir_all(&workers).map_err(Error::io(&workers))?;
-        let blobs = Blobs::open(&data_dir.join("objects"))?;
-        let store = Store::open(&data_dir.join("jobs.sqlite3")).await?;
-        let signals = Signals::default();
-        let jobs =
-            Self(Arc::new(Inner { store, blobs, signals, terms, limits, workers, _lock: lock }));
+        let blobs = places.blobs()?;
+        let store = places.store().await?;
+        places.check_pair(&store, &blobs).await?;
+        let (signals, couriers) = Signals::open(&store);
+        let jobs = Self(Arc::new(Inner {
+            store,
+            blobs,
+            signals,
+            _couriers: couriers,
+            terms,
+            limits,
+            workers,
+            _lock: lock,
+        }));
         jobs.sweep_orphans().await?;
         jobs.recover().await?;
         Ok(jobs)
@@ -105,7 +127,7 @@ impl Jobs {
     /// each state.
     pub async fn inspect(data_dir: &Path) -> Result<Vec<(state::State, u64)>> {
         let _lock = lock(data_dir)?;
-        let store = Store::open(&data_dir.join("jobs.sqlite3")).await?;
+        let store = Places::from(data_dir).store().await?;
         let counts = store.counts().await;
         store.close().await;
         counts
@@ -168,15 +190,27 @@ impl Jobs {
         Ok(())
     }
 
-    /// Removes the files of jobs that are no more, and meshes that nobody wants. Only at a start,
-    /// when no upload can be under way.
+    /// Removes the objects of jobs that are no more, and meshes that nobody wants. Other servers may
+    /// be at work: a job has its row before it has objects, and meshes without a row are left alone
+    /// while they may be on their way to one.
     async fn sweep_orphans(&self) -> Result<()> {
-        for hash in self.0.store.forget_meshes(self.0.limits.keep_meshes).await? {
-            self.0.blobs.remove_mesh(&hash)?;
+        let mut unknown = self.0.store.forget_meshes(self.0.limits.keep_meshes).await?;
+        let old = SystemTime::now() - ORPHANS_STAY;
+        let meshes = self.0.blobs.meshes().await?.into_iter();
+        for hash in meshes.filter(|(_, written)| *written < old).map(|(hash, _)| hash) {
+            if self.0.store.mesh_size(&hash).await?.is_none() {
+                unknown.push(hash);
+            }
         }
-        for id in self.0.blobs.jobs()? {
+        for hash in unknown {
+            let mut lock = self.0.store.lock_mesh(&hash).await?;
+            if !lock.is_stored().await? {
+                self.0.blobs.remove_mesh(&hash).await?;
+            }
+        }
+        for id in self.0.blobs.jobs().await? {
             if !self.0.store.exists(&id).await? {
-                self.0.blobs.remove_job(&id)?;
+                self.0.blobs.remove_job(&id).await?;
             }
         }
         Ok(())
@@ -196,15 +230,6 @@ impl Jobs {
             }
         }
         jobs
-    }
-
-    /// Runs what blocks on a thread that may block.
-    async fn blocking<T: Send + 'static>(
-        &self,
-        work: impl FnOnce(&Blobs) -> Result<T> + Send + 'static,
-    ) -> Result<T> {
-        let inner = Arc::clone(&self.0);
-        tokio::task::spawn_blocking(move || work(&inner.blobs)).await?
     }
 }
 

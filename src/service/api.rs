@@ -181,14 +181,14 @@ impl v1::lookalike_service_server::LookalikeService for Api {
     ) -> Result<Response<Self::ReadArtifactStream>, Status> {
         let request = request.into_inner();
         let (id, file) = convert::artifact_id("name", &request.name)?;
-        let (artifact, path) = self.jobs.artifact(&id, &file).await.map_err(|e| status_of(&e))?;
+        let (artifact, blob) = self.jobs.artifact(&id, &file).await.map_err(|e| status_of(&e))?;
         if request.offset > artifact.size {
             let text =
                 format!("{} is past the end: the file has {} bytes", request.offset, artifact.size);
             return Err(status::invalid("offset", text));
         }
         let limit = if request.limit == 0 { u64::MAX } else { request.limit };
-        let bytes = transfer::send(path, request.offset, limit).await.map_err(|e| status_of(&e))?;
+        let bytes = blob.read(request.offset, limit).await.map_err(|e| status_of(&e))?;
         let head = v1::ReadArtifactResponse {
             artifact: Some(convert::artifact_to_wire(&id, &artifact)),
             data: Bytes::new(),

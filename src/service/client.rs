@@ -8,7 +8,7 @@ use tonic::{
     transport::{Channel, Endpoint, Error},
 };
 
-use super::status::{SHUTTING_DOWN, reason_of};
+use super::status::{AWAY, SHUTTING_DOWN, reason_of};
 
 /// The text names no server.
 #[derive(Debug, thiserror::Error)]
@@ -42,12 +42,12 @@ pub fn channel(url: &str) -> Result<Channel, BadUrl> {
     Ok(endpoint(url)?.connect_lazy())
 }
 
-/// Whether the call may work later: the connection failed, or the server is about to restart. An
-/// answer of a server (it carries an `ErrorInfo`) is final.
+/// Whether the call may work later: the connection failed, or the server or what it stores things in
+/// is away for a moment. Any other answer of a server (it carries an `ErrorInfo`) is final.
 pub fn is_transient(status: &Status) -> bool {
     use Code::{Aborted, Cancelled, DeadlineExceeded, Internal, Unavailable, Unknown};
     match reason_of(status) {
-        Some(reason) => reason == SHUTTING_DOWN,
+        Some(reason) => [SHUTTING_DOWN, AWAY].contains(&&*reason),
         None => matches!(
             status.code(),
             Unavailable | Unknown | Cancelled | DeadlineExceeded | Internal | Aborted

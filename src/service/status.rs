@@ -13,6 +13,8 @@ pub const DOMAIN: &str = "lookalike";
 pub const STALE_LEASE: &str = "STALE_LEASE";
 /// The server is about to end: connect again in a moment.
 pub const SHUTTING_DOWN: &str = "SHUTTING_DOWN";
+/// The database or the object store does not answer for now: try again in a moment.
+pub const AWAY: &str = "AWAY";
 
 /// Statuses travel in HTTP/2 headers, which are capped at 16 KiB by most peers.
 const MAX_VIOLATIONS: usize = 64;
@@ -29,9 +31,12 @@ fn row(error: &Error) -> (Code, &'static str) {
         Error::Corrupt { .. } => (Code::DataLoss, "CORRUPT"),
         Error::TooLarge { .. } => (Code::ResourceExhausted, "TOO_LARGE"),
         Error::QueueFull(_) => (Code::ResourceExhausted, "QUEUE_FULL"),
-        Error::InUse(_) => (Code::FailedPrecondition, "IN_USE"),
+        error if error.is_passing() => (Code::Unavailable, AWAY),
+        Error::InUse(_) | Error::OtherObjects(_) => (Code::FailedPrecondition, "IN_USE"),
         Error::Sql(_) | Error::Migrate(_) | Error::Stored { .. } => (Code::Internal, "DATABASE"),
-        Error::Io { .. } => (Code::Internal, "STORAGE"),
+        Error::Io { .. } | Error::Objects { .. } | Error::PlainEndpoint(_) => {
+            (Code::Internal, "STORAGE")
+        }
         Error::Task(_) => (Code::Internal, "TASK"),
     }
 }
@@ -39,7 +44,7 @@ fn row(error: &Error) -> (Code, &'static str) {
 /// The status for an error. Faults of the server are logged here, once.
 pub fn status_of(error: &Error) -> Status {
     let (code, reason) = row(error);
-    if code == Code::Internal {
+    if [Code::Internal, Code::Unavailable].contains(&code) {
         tracing::error!(%error, reason, "a request failed");
     }
     let mut details = ErrorDetails::with_error_info(reason, DOMAIN, metadata_of(error));
@@ -47,8 +52,10 @@ pub fn status_of(error: &Error) -> Status {
         let faults = faults.iter().take(MAX_VIOLATIONS);
         details.set_bad_request(faults.map(violation).collect::<Vec<_>>());
     }
-    if let Error::QueueFull(_) = error {
-        details.set_retry_info(Some(Duration::from_secs(5)));
+    let pause = if error.is_passing() { Some(1) } else { None };
+    let pause = if matches!(error, Error::QueueFull(_)) { Some(5) } else { pause };
+    if let Some(secs) = pause {
+        details.set_retry_info(Some(Duration::from_secs(secs)));
     }
     Status::with_error_details(code, shorten(&error.to_string()), details)
 }

@@ -77,8 +77,8 @@ impl worker::worker_service_server::WorkerService for WorkerApi {
         let request = request.into_inner();
         let lease = convert::lease_from_wire(request.lease)?;
         let hash = convert::mesh_hash(&request.mesh);
-        let path = self.jobs.input(&lease, &hash).await.map_err(|e| status_of(&e))?;
-        let bytes = transfer::send(path, 0, u64::MAX).await.map_err(|e| status_of(&e))?;
+        let mesh = self.jobs.input(&lease, &hash).await.map_err(|e| status_of(&e))?;
+        let bytes = mesh.read(0, u64::MAX).await.map_err(|e| status_of(&e))?;
         let answers = bytes.map_ok(|data| worker::FetchMeshResponse { data });
         let answers = answers.map_err(|e| status_of(&e));
         Ok(Response::new(until(answers, self.shutdown.clone())))

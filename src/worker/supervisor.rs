@@ -139,8 +139,12 @@ impl Crew {
     }
 }
 
+/// What workers must not find in their environment: settings that make lavapipe abort, and the ways
+/// into the database and the bucket, which are the server's.
+const WITHHELD: [&str; 5] = ["LP_", "AWS_", "PG", "LOOKALIKE_DATABASE", "LOOKALIKE_OBJECTS"];
+
 fn is_withheld(variable: &str) -> bool {
-    variable.starts_with("LP_")
+    WITHHELD.iter().any(|prefix| variable.starts_with(prefix))
 }
 
 /// This program. The link stays good when the file is replaced by an upgrade.
@@ -158,9 +162,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rasterizer_variables_are_withheld() {
-        assert!(is_withheld("LP_NATIVE_VECTOR_WIDTH"));
-        assert!(!is_withheld("HELP_ME"));
-        assert!(!is_withheld("PATH"));
+    fn rasterizer_settings_and_credentials_are_withheld() {
+        for withheld in ["LP_NATIVE_VECTOR_WIDTH", "AWS_SECRET_ACCESS_KEY", "LOOKALIKE_DATABASE"] {
+            assert!(is_withheld(withheld), "{withheld}");
+        }
+        for passed_on in ["HELP_ME", "PATH", "LOOKALIKE_DEVICE"] {
+            assert!(!is_withheld(passed_on), "{passed_on}");
+        }
     }
 }

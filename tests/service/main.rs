@@ -1,6 +1,6 @@
 //! The service as its users meet it: real processes, real sockets, real signals.
 //!
-//! Every test starts its own server on a free port with a data directory of its own.
+//! Every test starts its own servers on free ports with data directories of their own.
 
 #![allow(
     clippy::unwrap_used,
@@ -12,11 +12,16 @@
 mod api;
 mod bad_input;
 mod command_line;
+mod farm;
 mod files;
 mod lint;
 mod optimize;
 mod panics;
+#[path = "../stores/postgres.rs"]
+mod postgres;
 mod processes;
+#[path = "../stores/s3.rs"]
+mod s3;
 mod support;
 mod torture;
 mod workers;

@@ -19,7 +19,7 @@ use crate::support::{
     signal, small_torus, state,
 };
 
-async fn running(server: &Server, name: &str) {
+pub(crate) async fn running(server: &Server, name: &str) {
     let mut client = server.client();
     eventually("the job to run", || {
         let mut client = client.clone();
@@ -30,7 +30,7 @@ async fn running(server: &Server, name: &str) {
     assert!(job(&mut client, name).await.attempt > 0);
 }
 
-fn reasons(log: &[Event]) -> Vec<String> {
+pub(crate) fn reasons(log: &[Event]) -> Vec<String> {
     let reason = |event: &Event| match &event.body {
         Body::Server(ServerEvent::StateChanged { reason, .. }) => Some(reason.clone()),
         Body::Server(ServerEvent::Restarted { .. }) => Some("RESTARTED".into()),

@@ -100,6 +100,7 @@ pub(crate) struct Server {
     pub(crate) url: String,
     pub(crate) metrics: String,
     flags: Vec<String>,
+    environment: Vec<(String, String)>,
     child: Child,
 }
 
@@ -110,14 +111,18 @@ impl Server {
     }
 
     pub(crate) fn start_with(flags: &[&str]) -> Self {
+        Self::start_in(flags, Vec::new())
+    }
+
+    pub(crate) fn start_in(flags: &[&str], environment: Vec<(String, String)>) -> Self {
         let dir = tempfile::tempdir().unwrap();
         let [listen, metrics] = free_ports();
         let mut all = vec![format!("--listen={listen}"), format!("--metrics-listen={metrics}")];
         all.push(format!("--data-dir={}", dir.path().join("data").display()));
         all.push("--device=cpu".into());
         all.extend(flags.iter().map(|flag| (*flag).into()));
-        let child = spawn(&all);
-        Self { dir, url: format!("http://{listen}"), metrics, flags: all, child }
+        let child = spawn(&all, &environment);
+        Self { dir, url: format!("http://{listen}"), metrics, flags: all, environment, child }
     }
 
     /// SIGKILL, and nothing else: workers live on.
@@ -128,7 +133,7 @@ impl Server {
 
     /// After [`Self::kill`] or [`Self::terminate`].
     pub(crate) fn restart(&mut self) {
-        self.child = spawn(&self.flags);
+        self.child = spawn(&self.flags, &self.environment);
     }
 
     /// SIGTERM; how long it took to end, and whether it ended well.
@@ -207,8 +212,9 @@ pub(crate) fn lookalike() -> Command {
 }
 
 /// Starts a server and waits until it listens.
-fn spawn(flags: &[String]) -> Child {
+fn spawn(flags: &[String], environment: &[(String, String)]) -> Child {
     let mut command = lookalike();
+    command.envs(environment.iter().cloned());
     command.arg("serve").args(flags).stdout(Stdio::piped()).stderr(Stdio::null());
     let mut child = command.spawn().unwrap();
     let mut line = String::new();

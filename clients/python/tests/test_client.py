@@ -136,9 +136,10 @@ def test_a_broken_stream_goes_on_after_the_last_event(scripted) -> None:
     assert service.asked_after == [0, 2, 2, 5]
 
 
-def test_a_server_that_shuts_down_is_waited_for(scripted) -> None:
+@pytest.mark.parametrize("reason", ["SHUTTING_DOWN", "AWAY"])
+def test_a_server_that_shuts_down_or_has_no_database_is_waited_for(scripted, reason) -> None:
     service, client = scripted
-    service.breaks, service.goodbye = [4], answer(code_pb2.UNAVAILABLE, "SHUTTING_DOWN")
+    service.breaks, service.goodbye = [4], answer(code_pb2.UNAVAILABLE, reason)
     assert [event.seq for event in client.watch(JOB)] == list(range(1, 9))
 
 

@@ -2,10 +2,12 @@
 
 use std::time::Duration;
 
-use sqlx::{QueryBuilder, Row, Sqlite, Transaction};
+use sqlx::{AssertSqlSafe, Row, any::AnyRow};
 
-use super::{Artifact, Job, State, Store, StoredEvent, event_of, find, job_of, log, now_ms};
-use super::{state_entry, stored};
+use super::{
+    Artifact, Exclusive, Job, State, Store, StoredEvent, Tx, event_of, find, find_to_write, job_of,
+    log, now_ms, only, places, sql, state_entry, stored,
+};
 use crate::jobs::{
     error::{Error, Result},
     spec::Spec,
@@ -25,16 +27,38 @@ pub struct NewJob {
     pub spec: Spec,
 }
 
-impl Store {
-    /// Notes that the bytes of a mesh are stored; false when that was known.
-    pub async fn add_mesh(&self, hash: &str, size: u64) -> Result<bool> {
-        let mut tx = self.begin().await?;
-        let now = now_ms(&mut tx).await?;
-        let touched = touch_mesh(&mut tx, hash, now).await?;
-        let insert = sqlx::query("INSERT INTO meshes VALUES (?, ?, ?) ON CONFLICT DO NOTHING");
-        let done = insert.bind(hash).bind(size as i64).bind(now).execute(&mut *tx).await?;
-        tx.commit().await?;
+/// A mesh that nobody else stores or sweeps.
+#[derive(Debug)]
+pub struct MeshLock {
+    tx: Tx,
+    hash: String,
+}
+
+impl MeshLock {
+    /// Whether it has a row.
+    pub async fn is_stored(&mut self) -> Result<bool> {
+        let query = sqlx::query_scalar::<_, i64>("SELECT count(*) FROM meshes WHERE hash = $1");
+        Ok(query.bind(&self.hash).fetch_one(&mut *self.tx).await? == 1)
+    }
+
+    /// Notes that its bytes are stored; false when that was known.
+    pub async fn add(mut self, size: u64) -> Result<bool> {
+        let now = now_ms(&mut self.tx).await?;
+        let touched = touch_mesh(&mut self.tx, &self.hash, now).await?;
+        let insert = sqlx::query("INSERT INTO meshes VALUES ($1, $2, $3) ON CONFLICT DO NOTHING");
+        let insert = insert.bind(&self.hash).bind(size as i64).bind(now);
+        let done = insert.execute(&mut *self.tx).await?;
+        self.tx.commit().await?;
         Ok(!touched && done.rows_affected() == 1)
+    }
+}
+
+impl Store {
+    /// Waits until nobody else stores or sweeps this mesh.
+    pub async fn lock_mesh(&self, hash: &str) -> Result<MeshLock> {
+        let mut tx = self.begin().await?;
+        only(&mut tx, Exclusive::Mesh(hash)).await?;
+        Ok(MeshLock { tx, hash: hash.into() })
     }
 
     /// Notes that a client asked for a stored mesh; false when there is none.
@@ -52,19 +76,40 @@ impl Store {
         let mut tx = self.begin().await?;
         let age_ms = i64::try_from(unused_for.as_millis()).unwrap_or(i64::MAX);
         let before = now_ms(&mut tx).await?.saturating_sub(age_ms);
-        let delete = "DELETE FROM meshes WHERE created_ms <= ? \
+        let delete = "DELETE FROM meshes WHERE created_ms <= $1 \
                       AND NOT EXISTS (SELECT 1 FROM jobs WHERE jobs.mesh = meshes.hash \
-                      OR json_extract(jobs.spec, '$.simplified.mesh') = meshes.hash) \
+                      OR jobs.spec /*pg ::json */ -> 'simplified' ->> 'mesh' = meshes.hash) \
                       RETURNING hash";
-        let delete = sqlx::query_scalar::<_, String>(delete).bind(before);
+        let delete = sqlx::query_scalar::<_, String>(sql(&tx, delete)).bind(before);
         let hashes = delete.fetch_all(&mut *tx).await?;
         tx.commit().await?;
         Ok(hashes)
     }
 
+    /// The name of the objects that the database tells of.
+    pub async fn objects_id(&self) -> Result<Option<String>> {
+        let query = sqlx::query_scalar("SELECT id FROM objects");
+        Ok(query.fetch_optional(&self.readers).await?)
+    }
+
+    /// Says that the database tells of the objects of this name, unless it is known better; what is
+    /// known then.
+    pub async fn name_objects(&self, id: &str) -> Result<String> {
+        let insert = "INSERT INTO objects VALUES (1, $1) ON CONFLICT DO NOTHING";
+        sqlx::query(insert).bind(id).execute(&self.writers).await?;
+        let query = sqlx::query_scalar("SELECT id FROM objects");
+        Ok(query.fetch_one(&self.writers).await?)
+    }
+
+    /// How many meshes are stored.
+    pub async fn n_meshes(&self) -> Result<i64> {
+        let query = sqlx::query_scalar("SELECT count(*) FROM meshes");
+        Ok(query.fetch_one(&self.readers).await?)
+    }
+
     /// Size in bytes of a stored mesh.
     pub async fn mesh_size(&self, hash: &str) -> Result<Option<u64>> {
-        let query = sqlx::query_scalar::<_, i64>("SELECT size FROM meshes WHERE hash = ?");
+        let query = sqlx::query_scalar::<_, i64>("SELECT size FROM meshes WHERE hash = $1");
         let size = query.bind(hash).fetch_optional(&self.readers).await?;
         Ok(size.map(|size| size as u64))
     }
@@ -72,8 +117,9 @@ impl Store {
     /// Creates a job under `id`, unless its request already made one; says whether it is new.
     pub async fn create(&self, id: &str, new: &NewJob, max_queued: u64) -> Result<(Job, bool)> {
         let mut tx = self.begin().await?;
+        only(&mut tx, Exclusive::Create).await?;
         let request_id = Some(&new.request_id).filter(|id| !id.is_empty());
-        let query = sqlx::query("SELECT * FROM jobs WHERE request_id = ?").bind(request_id);
+        let query = sqlx::query("SELECT * FROM jobs WHERE request_id = $1").bind(request_id);
         if let Some(row) = query.fetch_optional(&mut *tx).await? {
             return Ok((same_request(job_of(&row)?, new)?, false));
         }
@@ -83,9 +129,10 @@ impl Store {
             return Err(Error::QueueFull(max_queued));
         }
         let now = now_ms(&mut tx).await?;
+        keep_meshes(&mut tx, new, now).await?;
         let spec = serde_json::to_string(&new.spec).map_err(stored("the specification"))?;
         let insert = "INSERT INTO jobs (id, request_id, mesh, file_name, spec, state, created_ms) \
-                      VALUES (?, ?, ?, ?, ?, ?, ?)";
+                      VALUES ($1, $2, $3, $4, $5, $6, $7)";
         let insert = sqlx::query(insert).bind(id).bind(request_id).bind(&new.mesh);
         let insert = insert.bind(&new.file_name).bind(spec).bind(State::Queued.name()).bind(now);
         insert.execute(&mut *tx).await?;
@@ -108,23 +155,20 @@ impl Store {
         before: Option<i64>,
         limit: u32,
     ) -> Result<Vec<Job>> {
-        let mut query = QueryBuilder::<Sqlite>::new("SELECT * FROM jobs WHERE n < ");
-        query.push_bind(before.unwrap_or(i64::MAX));
-        if !states.is_empty() {
-            query.push(" AND state IN (");
-            let mut list = query.separated(", ");
-            for state in states {
-                list.push_bind(state.name());
-            }
-            query.push(")");
-        }
-        query.push(" ORDER BY n DESC LIMIT ").push_bind(limit);
-        query.build().fetch_all(&self.readers).await?.iter().map(job_of).collect()
+        let filter = match states.len() {
+            0 => String::new(),
+            n => format!("AND state IN {}", places(3, n)),
+        };
+        let query = format!("SELECT * FROM jobs WHERE n < $1 {filter} ORDER BY n DESC LIMIT $2");
+        let query = sqlx::query(AssertSqlSafe(query)).bind(before.unwrap_or(i64::MAX));
+        let query = query.bind(i64::from(limit));
+        let query = states.iter().fold(query, |query, state| query.bind(state.name()));
+        query.fetch_all(&self.readers).await?.iter().map(job_of).collect()
     }
 
     /// How many jobs are in each state.
     pub async fn counts(&self) -> Result<Vec<(State, u64)>> {
-        let query = "SELECT count(*) FROM jobs WHERE state = ?";
+        let query = "SELECT count(*) FROM jobs WHERE state = $1";
         let mut counts = Vec::with_capacity(State::ALL.len());
         for state in State::ALL {
             let query = sqlx::query_scalar::<_, i64>(query).bind(state.name());
@@ -135,9 +179,9 @@ impl Store {
 
     /// At most `limit` entries of a log after `after_seq`, in order.
     pub async fn events(&self, id: &str, after_seq: u64, limit: u32) -> Result<Vec<StoredEvent>> {
-        let query = "SELECT * FROM events WHERE job = ? AND seq > ? ORDER BY seq LIMIT ?";
+        let query = "SELECT * FROM events WHERE job = $1 AND seq > $2 ORDER BY seq LIMIT $3";
         let after_seq = i64::try_from(after_seq).unwrap_or(i64::MAX);
-        let query = sqlx::query(query).bind(id).bind(after_seq).bind(limit);
+        let query = sqlx::query(query).bind(id).bind(after_seq).bind(i64::from(limit));
         query.fetch_all(&self.readers).await?.iter().map(event_of).collect()
     }
 
@@ -145,7 +189,7 @@ impl Store {
     /// ended the job.
     pub async fn cancel(&self, id: &str) -> Result<(Job, bool)> {
         let mut tx = self.begin().await?;
-        let mut job = find(&mut tx, id).await?;
+        let mut job = find_to_write(&mut tx, id).await?;
         if job.state == State::Cancelled || job.cancel_requested {
             return Ok((job, false));
         }
@@ -156,13 +200,13 @@ impl Store {
         let now = now_ms(&mut tx).await?;
         job.cancel_requested = true;
         if job.state == State::Running {
-            let update = sqlx::query("UPDATE jobs SET cancel_requested = 1 WHERE id = ?");
+            let update = sqlx::query("UPDATE jobs SET cancel_requested = 1 WHERE id = $1");
             update.bind(id).execute(&mut *tx).await?;
         } else {
             job.state = state;
             job.ended_ms = Some(now);
             let update =
-                "UPDATE jobs SET cancel_requested = 1, state = ?, ended_ms = ? WHERE id = ?";
+                "UPDATE jobs SET cancel_requested = 1, state = $1, ended_ms = $2 WHERE id = $3";
             let update = sqlx::query(update).bind(job.state.name()).bind(now).bind(id);
             update.execute(&mut *tx).await?;
             let entry = state_entry(&job, "CANCELLED", "cancelled on request".into());
@@ -176,12 +220,12 @@ impl Store {
     /// Deletes an ended job, with its log and the list of its artifacts.
     pub async fn delete(&self, id: &str) -> Result<()> {
         let mut tx = self.begin().await?;
-        let job = find(&mut tx, id).await?;
+        let job = find_to_write(&mut tx, id).await?;
         if !job.state.is_final() {
             let remedy = "cancel it first";
             return Err(Error::Illegal { job: job.name(), state: job.state, remedy });
         }
-        sqlx::query("DELETE FROM jobs WHERE id = ?").bind(id).execute(&mut *tx).await?;
+        sqlx::query("DELETE FROM jobs WHERE id = $1").bind(id).execute(&mut *tx).await?;
         tx.commit().await?;
         Ok(())
     }
@@ -192,10 +236,10 @@ impl Store {
         if !job.state.is_final() {
             return Ok((job, Vec::new()));
         }
-        let query = "SELECT * FROM artifacts WHERE job = ? AND epoch = ? ORDER BY file";
+        let query = "SELECT * FROM artifacts WHERE job = $1 AND epoch = $2 ORDER BY file";
         let query = sqlx::query(query).bind(id).bind(job.epoch as i64);
         let rows = query.fetch_all(&self.readers).await?;
-        let artifact = |row: &sqlx::sqlite::SqliteRow| -> Result<Artifact> {
+        let artifact = |row: &AnyRow| -> Result<Artifact> {
             Ok(Artifact {
                 file: row.try_get("file")?,
                 media_type: row.try_get("media_type")?,
@@ -209,16 +253,30 @@ impl Store {
 
     /// Whether there is such a job.
     pub async fn exists(&self, id: &str) -> Result<bool> {
-        let query = sqlx::query_scalar::<_, i64>("SELECT count(*) FROM jobs WHERE id = ?");
+        let query = sqlx::query_scalar::<_, i64>("SELECT count(*) FROM jobs WHERE id = $1");
         Ok(query.bind(id).fetch_one(&self.readers).await? == 1)
     }
 }
 
 /// Makes a mesh as young as if it were stored now; false when there is none.
-async fn touch_mesh(tx: &mut Transaction<'static, Sqlite>, hash: &str, now: i64) -> Result<bool> {
-    let update = sqlx::query("UPDATE meshes SET created_ms = ? WHERE hash = ?");
+async fn touch_mesh(tx: &mut Tx, hash: &str, now: i64) -> Result<bool> {
+    let update = sqlx::query("UPDATE meshes SET created_ms = $1 WHERE hash = $2");
     let done = update.bind(now).bind(hash).execute(&mut **tx).await?;
     Ok(done.rows_affected() == 1)
+}
+
+/// Makes the meshes of a job as young as if they were stored now: none of them is forgotten before the
+/// job names it.
+async fn keep_meshes(tx: &mut Tx, new: &NewJob, now: i64) -> Result<()> {
+    let simplified = new.spec.simplified.as_ref().map(|input| &input.mesh);
+    for (field, mesh) in [("mesh", Some(&new.mesh)), ("spec.simplified.mesh", simplified)] {
+        let Some(mesh) = mesh else { continue };
+        if !touch_mesh(tx, mesh, now).await? {
+            let text = format!("meshes/{mesh} is not stored any more: upload it again");
+            return Err(Error::invalid(field, text));
+        }
+    }
+    Ok(())
 }
 
 /// The job an earlier request made, if this one asks for the same.

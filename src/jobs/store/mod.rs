@@ -1,27 +1,30 @@
-//! The job database: SQLite in one file, and all of its SQL (here, in `clients.rs` and `workers.rs`).
+//! The job database, SQLite or PostgreSQL (`dialect.rs`), and all of its SQL (here, in `clients.rs` and
+//! `workers.rs`).
 //!
-//! 1. A transaction that reads before it writes begins IMMEDIATE: a deferred one that upgrades is
-//!    refused with SQLITE_BUSY whatever the busy timeout.
-//! 2. What a call returned `Ok` for is on disk (WAL with synchronous=FULL).
+//! 1. A transaction that reads before it writes locks first what it reads: SQLite by BEGIN IMMEDIATE (a
+//!    deferred one that upgrades is refused with SQLITE_BUSY whatever the busy timeout), PostgreSQL
+//!    by the job's row.
+//! 2. What a call returned `Ok` for is on disk.
 //! 3. A change of state and the log entry that tells of it are one transaction.
 //! 4. Time is the database's clock only, in milliseconds since 1970.
 //! 5. Every write for a worker is conditional on its lease (`workers.rs`).
+//! 6. Jobs are created one at a time, also by several servers: their numbers are committed in order,
+//!    so that pages neither repeat nor skip, and caps on the queue are exact.
 //!
-//! Knows nothing of the object directory, of notifications, or of who asks.
+//! Knows nothing of objects, or of who asks.
 
 mod clients;
+mod dialect;
+mod listen;
 mod workers;
 
-use std::{borrow::Cow, path::Path, time::Duration};
+#[cfg(test)]
+mod contract;
 
 use serde::de::DeserializeOwned;
-use sqlx::{
-    QueryBuilder, Row, Sqlite, SqliteConnection, SqlitePool, Transaction,
-    migrate::{Migration, MigrationType, Migrator},
-    sqlite::{
-        SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteRow, SqliteSynchronous,
-    },
-};
+use sqlx::{Any, AnyConnection, AnyPool, AssertSqlSafe, Row, Transaction, any::AnyRow};
+
+use self::dialect::{places, sql};
 
 use super::{
     error::{Error, Result},
@@ -30,7 +33,9 @@ use super::{
     state::State,
 };
 
-pub use clients::NewJob;
+pub use clients::{MeshLock, NewJob};
+pub use dialect::Address;
+pub use listen::{Ear, Heard};
 pub use workers::{Appended, Outcome};
 
 /// A job as stored.
@@ -119,86 +124,127 @@ pub struct StoredEvent {
 /// The database.
 #[derive(Clone, Debug)]
 pub struct Store {
-    /// One connection: writers of this process queue here, not at SQLite's lock.
-    writer: SqlitePool,
-    readers: SqlitePool,
+    address: Address,
+    writers: AnyPool,
+    readers: AnyPool,
 }
 
 impl Store {
     /// Opens the database, creating it or bringing it up to date.
-    pub async fn open(path: &Path) -> Result<Self> {
-        let options = SqliteConnectOptions::new()
-            .filename(path)
-            .create_if_missing(true)
-            .journal_mode(SqliteJournalMode::Wal)
-            .synchronous(SqliteSynchronous::Full)
-            .foreign_keys(true)
-            .busy_timeout(Duration::from_secs(5));
-        let writer =
-            SqlitePoolOptions::new().max_connections(1).connect_with(options.clone()).await?;
-        migrations().run(&writer).await?;
-        let readers = SqlitePoolOptions::new().max_connections(4).connect_with(options).await?;
-        Ok(Self { writer, readers })
+    pub async fn open(address: &Address) -> Result<Self> {
+        let (writers, readers) = address.connect().await?;
+        Ok(Self { address: address.clone(), writers, readers })
     }
 
-    /// Waits for open connections and folds the write-ahead log into the file.
+    /// Waits for open connections; SQLite then folds the write-ahead log into the file.
     pub async fn close(&self) {
         self.readers.close().await;
-        self.writer.close().await;
+        self.writers.close().await;
     }
 
-    async fn begin(&self) -> Result<Transaction<'static, Sqlite>> {
-        Ok(self.writer.begin_with("BEGIN IMMEDIATE").await?)
+    /// Whether a shared database answers, without a change to it: its version, and whether tables may
+    /// be made in it.
+    pub async fn probe(address: &Address) -> Result<(String, bool)> {
+        let pool = address.pool(1).await?;
+        let query = "SELECT current_setting('server_version') AS version, \
+                     has_schema_privilege(current_schema(), 'CREATE') AS may_create";
+        let row = sqlx::query(query).fetch_one(&pool).await?;
+        Ok((
+            row.try_get("version")?,
+            row.try_get::<Option<bool>, _>("may_create")?.unwrap_or(false),
+        ))
+    }
+
+    async fn begin(&self) -> Result<Tx> {
+        Ok(self.writers.begin_with(self.address.begin()).await?)
     }
 }
 
-fn migrations() -> Migrator {
-    let table = [(1, "jobs", include_str!("../migrations/0001_jobs.sql"))];
-    let migration = |(version, name, sql): (i64, &'static str, &'static str)| {
-        let sql = sqlx::SqlSafeStr::into_sql_str(sql);
-        Migration::new(version, Cow::Borrowed(name), MigrationType::Simple, sql, false)
-    };
-    Migrator::with_migrations(table.into_iter().map(migration).collect())
+type Tx = Transaction<'static, Any>;
+
+/// What only one transaction at a time may do, on all servers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Exclusive<'a> {
+    /// Creating jobs.
+    Create,
+    /// Storing or sweeping the mesh of this hash.
+    Mesh(&'a str),
 }
 
-async fn now_ms(conn: &mut SqliteConnection) -> Result<i64> {
-    let now = sqlx::query_scalar("SELECT CAST(unixepoch('subsec') * 1000 AS INTEGER)");
-    Ok(now.fetch_one(conn).await?)
+impl Exclusive<'_> {
+    /// The number of the lock in PostgreSQL.
+    fn number(self) -> i64 {
+        match self {
+            Self::Create => -1,
+            // 60 bits of it; meshes that share them wait for one another.
+            Self::Mesh(hash) => {
+                i64::from_str_radix(hash.get(..15).unwrap_or_default(), 16).unwrap_or(0)
+            }
+        }
+    }
 }
 
-async fn find(conn: &mut SqliteConnection, id: &str) -> Result<Job> {
-    let row = sqlx::query("SELECT * FROM jobs WHERE id = ?").bind(id).fetch_optional(conn).await?;
+/// Waits until this transaction is the only one that does so. SQLite has one at a time anyway.
+async fn only(conn: &mut AnyConnection, what: Exclusive<'_>) -> Result<()> {
+    let lock = sql(conn, "SELECT $1 /*pg FROM pg_advisory_xact_lock($1) */");
+    sqlx::query(lock).bind(what.number()).execute(conn).await?;
+    Ok(())
+}
+
+async fn now_ms(conn: &mut AnyConnection) -> Result<i64> {
+    let now = sql(conn, "SELECT CAST(unixepoch('subsec') * 1000 AS INTEGER)");
+    Ok(sqlx::query_scalar(now).fetch_one(conn).await?)
+}
+
+async fn find(conn: &mut AnyConnection, id: &str) -> Result<Job> {
+    let query = sqlx::query("SELECT * FROM jobs WHERE id = $1").bind(storable(id));
+    found(query.fetch_optional(conn).await?, id)
+}
+
+/// [`find`] for a transaction that will write: nobody else writes on the job until it ends.
+async fn find_to_write(conn: &mut AnyConnection, id: &str) -> Result<Job> {
+    let query = sql(conn, "SELECT * FROM jobs WHERE id = $1 /*pg FOR UPDATE */");
+    found(sqlx::query(query).bind(id).fetch_optional(conn).await?, id)
+}
+
+fn found(row: Option<AnyRow>, id: &str) -> Result<Job> {
     job_of(&row.ok_or_else(|| Error::NotFound(format!("jobs/{id}")))?)
+}
+
+/// A text that PostgreSQL stores: it has no NUL.
+fn storable(text: &str) -> String {
+    text.replace('\0', "\u{fffd}")
 }
 
 /// Appends to the log of `job` and moves its `last_seq`, here and in the database.
 async fn log(
-    conn: &mut SqliteConnection,
+    conn: &mut AnyConnection,
     job: &mut Job,
     at_ms: i64,
     entries: &[(Body, Option<SegmentRange>)],
 ) -> Result<()> {
-    let mut rows = Vec::with_capacity(entries.len());
-    for (body, range) in entries {
-        let text = serde_json::to_string(body).map_err(stored("an event"))?;
-        rows.push((job.last_seq as i64 + 1 + rows.len() as i64, text, range.clone()));
+    for chunk in entries.chunks(ROWS) {
+        let rows: Vec<_> = (0..chunk.len()).map(|i| places(i * COLUMNS + 1, COLUMNS)).collect();
+        let insert = AssertSqlSafe(format!("INSERT INTO events VALUES {}", rows.join(", ")));
+        let mut insert = sqlx::query(insert);
+        for (body, range) in chunk {
+            let text = serde_json::to_string(body).map_err(stored("an event"))?;
+            let range = range.as_ref();
+            job.last_seq += 1;
+            insert = insert.bind(&job.id).bind(job.last_seq as i64).bind(job.epoch as i64);
+            insert = insert.bind(at_ms).bind(text).bind(range.map(|r| r.segment.clone()));
+            insert = insert.bind(range.map(|r| r.offset as i64)).bind(range.map(|r| r.len as i64));
+        }
+        insert.execute(&mut *conn).await?;
     }
-    if rows.is_empty() {
-        return Ok(());
-    }
-    job.last_seq += rows.len() as u64;
-    let mut insert = QueryBuilder::<Sqlite>::new("INSERT INTO events ");
-    insert.push_values(rows, |mut row, (seq, text, range)| {
-        row.push_bind(job.id.clone()).push_bind(seq).push_bind(job.epoch as i64).push_bind(at_ms);
-        row.push_bind(text).push_bind(range.as_ref().map(|r| r.segment.clone()));
-        row.push_bind(range.as_ref().map(|r| r.offset as i64));
-        row.push_bind(range.as_ref().map(|r| r.len as i64));
-    });
-    insert.build().execute(&mut *conn).await?;
-    let update = sqlx::query("UPDATE jobs SET last_seq = ? WHERE id = ?");
+    let update = sqlx::query("UPDATE jobs SET last_seq = $1 WHERE id = $2");
     update.bind(job.last_seq as i64).bind(&job.id).execute(conn).await?;
     Ok(())
 }
+
+/// Columns of `events`, and rows of one statement: both databases cap placeholders.
+const COLUMNS: usize = 8;
+const ROWS: usize = 1000;
 
 /// The log entry for the state that `job` is now in.
 fn state_entry(job: &Job, reason: &str, text: String) -> (Body, Option<SegmentRange>) {
@@ -221,7 +267,7 @@ fn from_json<T: DeserializeOwned>(what: &str, text: &str) -> Result<T> {
     serde_json::from_str(text).map_err(stored(what))
 }
 
-fn job_of(row: &SqliteRow) -> Result<Job> {
+fn job_of(row: &AnyRow) -> Result<Job> {
     let id: String = row.try_get("id")?;
     let state: String = row.try_get("state")?;
     let int = |column: &str| row.try_get::<i64, _>(column);
@@ -248,7 +294,7 @@ fn job_of(row: &SqliteRow) -> Result<Job> {
     })
 }
 
-fn event_of(row: &SqliteRow) -> Result<StoredEvent> {
+fn event_of(row: &AnyRow) -> Result<StoredEvent> {
     let int = |column: &str| row.try_get::<i64, _>(column);
     let body = from_json("an event", row.try_get("body")?)?;
     let segment: Option<String> = row.try_get("segment")?;

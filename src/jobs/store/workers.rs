@@ -3,9 +3,12 @@
 //! Every write checks the lease inside its own transaction ([`held`]): a worker whose attempt was
 //! taken away cannot change anything.
 
-use sqlx::{Sqlite, SqliteConnection, Transaction};
+use sqlx::AnyConnection;
 
-use super::{Artifact, Body, Job, SegmentRange, Store, find, job_of, log, now_ms, state_entry};
+use super::{
+    Artifact, Body, Job, SegmentRange, Store, Tx, find, find_to_write, job_of, log, now_ms, sql,
+    state_entry, storable,
+};
 use crate::jobs::{
     error::{Error, Result},
     event::{CREATED_SEQ, Report, ServerEvent},
@@ -42,8 +45,9 @@ impl Store {
     pub async fn claim(&self, worker: &str, terms: &Terms) -> Result<Option<Job>> {
         let mut tx = self.begin().await?;
         lose_all_of(&mut tx, worker, Loss::Abandoned, terms.max_lost).await?;
-        let query = "SELECT * FROM jobs WHERE state = 'QUEUED' ORDER BY n LIMIT 1";
-        let row = sqlx::query(query).fetch_optional(&mut *tx).await?;
+        let query = "SELECT * FROM jobs WHERE state = 'QUEUED' ORDER BY n LIMIT 1 \
+                     /*pg FOR UPDATE SKIP LOCKED */";
+        let row = sqlx::query(sql(&tx, query)).fetch_optional(&mut *tx).await?;
         let job = match row {
             Some(row) => Some(start(&mut tx, job_of(&row)?, worker, terms).await?),
             None => None,
@@ -55,9 +59,9 @@ impl Store {
     /// Extends a lease; true when the worker should stop.
     pub async fn heartbeat(&self, lease: &Lease, terms: &Terms) -> Result<bool> {
         let mut tx = self.begin().await?;
-        let job = held(&mut tx, lease).await?;
+        let job = held_to_write(&mut tx, lease).await?;
         let until = now_ms(&mut tx).await? + terms.lease.as_millis() as i64;
-        let update = sqlx::query("UPDATE jobs SET lease_until_ms = ? WHERE id = ?");
+        let update = sqlx::query("UPDATE jobs SET lease_until_ms = $1 WHERE id = $2");
         update.bind(until).bind(&lease.job).execute(&mut *tx).await?;
         tx.commit().await?;
         Ok(job.cancel_requested)
@@ -65,7 +69,7 @@ impl Store {
 
     /// The job, if the lease is good at this moment.
     pub async fn check(&self, lease: &Lease) -> Result<Job> {
-        held(&mut *self.readers.acquire().await?, lease).await
+        may_write(find(&mut *self.readers.acquire().await?, &lease.job).await, lease)
     }
 
     /// Appends `entries`, the first of which is the attempt's event number `first` (from 0). Those
@@ -77,7 +81,7 @@ impl Store {
         entries: &[(Body, Option<SegmentRange>)],
     ) -> Result<Appended> {
         let mut tx = self.begin().await?;
-        let mut job = held(&mut tx, lease).await?;
+        let mut job = held_to_write(&mut tx, lease).await?;
         let held = job.appended;
         let skip = held.checked_sub(first).ok_or(Error::Gap { first, held })?;
         let entries = entries.get(skip as usize..).unwrap_or_default();
@@ -86,7 +90,7 @@ impl Store {
             log(&mut tx, &mut job, now, entries).await?;
             job.appended += entries.len() as u64;
             note_progress(&mut job, entries);
-            let update = "UPDATE jobs SET appended = ?, stage = ?, fraction = ? WHERE id = ?";
+            let update = "UPDATE jobs SET appended = $1, stage = $2, fraction = $3 WHERE id = $4";
             let update = sqlx::query(update).bind(job.appended as i64).bind(&job.stage);
             update.bind(job.fraction).bind(&job.id).execute(&mut *tx).await?;
             tx.commit().await?;
@@ -97,10 +101,14 @@ impl Store {
     /// Notes that a file of the result is stored.
     pub async fn add_artifact(&self, lease: &Lease, artifact: &Artifact) -> Result<()> {
         let mut tx = self.begin().await?;
-        held(&mut tx, lease).await?;
-        let insert = sqlx::query("INSERT OR REPLACE INTO artifacts VALUES (?, ?, ?, ?, ?, ?)");
-        let insert = insert.bind(&lease.job).bind(lease.epoch as i64).bind(&artifact.file);
-        let insert = insert.bind(&artifact.media_type).bind(artifact.size as i64);
+        held_to_write(&mut tx, lease).await?;
+        let insert = "INSERT INTO artifacts VALUES ($1, $2, $3, $4, $5, $6) \
+                      ON CONFLICT (job, epoch, file) DO UPDATE SET \
+                      media_type = excluded.media_type, size = excluded.size, \
+                      blake3 = excluded.blake3";
+        let insert =
+            sqlx::query(insert).bind(&lease.job).bind(lease.epoch as i64).bind(&artifact.file);
+        let insert = insert.bind(storable(&artifact.media_type)).bind(artifact.size as i64);
         insert.bind(&artifact.blake3).execute(&mut *tx).await?;
         tx.commit().await?;
         Ok(())
@@ -112,7 +120,7 @@ impl Store {
         if let Some(job) = repeated(&mut tx, lease, outcome).await? {
             return Ok(job);
         }
-        let job = held(&mut tx, lease).await?;
+        let job = held_to_write(&mut tx, lease).await?;
         let job = match outcome {
             Outcome::Succeeded(files) => succeed(&mut tx, job, files).await?,
             Outcome::Failed(reason, text) => {
@@ -137,14 +145,16 @@ impl Store {
 
     /// Takes away every lease that ran out; the jobs concerned, as they are then.
     pub async fn lose_expired(&self, max_lost: u32) -> Result<Vec<Job>> {
-        let query = "SELECT count(*) FROM jobs WHERE state = 'RUNNING' AND lease_until_ms < ?";
+        let query = "SELECT count(*) FROM jobs WHERE state = 'RUNNING' AND lease_until_ms < $1";
         let now = now_ms(&mut *self.readers.acquire().await?).await?;
         if sqlx::query_scalar::<_, i64>(query).bind(now).fetch_one(&self.readers).await? == 0 {
             return Ok(Vec::new());
         }
         let mut tx = self.begin().await?;
-        let query = "SELECT * FROM jobs WHERE state = 'RUNNING' AND lease_until_ms < ?";
-        let rows = sqlx::query(query).bind(now).fetch_all(&mut *tx).await?;
+        // Another server may be about the same: what it has locked is its own.
+        let query = "SELECT * FROM jobs WHERE state = 'RUNNING' AND lease_until_ms < $1 ORDER BY n \
+                     /*pg FOR UPDATE SKIP LOCKED */";
+        let rows = sqlx::query(sql(&tx, query)).bind(now).fetch_all(&mut *tx).await?;
         let mut jobs = Vec::with_capacity(rows.len());
         for row in &rows {
             jobs.push(lose(&mut tx, job_of(row)?, Loss::LeaseExpired, "", max_lost).await?);
@@ -171,17 +181,21 @@ impl Store {
     pub async fn renew(&self, worker: &str, terms: &Terms) -> Result<()> {
         let mut tx = self.begin().await?;
         let until = now_ms(&mut tx).await? + terms.lease.as_millis() as i64;
-        let update = "UPDATE jobs SET lease_until_ms = ? WHERE state = 'RUNNING' AND worker = ?";
+        let update = "UPDATE jobs SET lease_until_ms = $1 WHERE state = 'RUNNING' AND worker = $2";
         sqlx::query(update).bind(until).bind(worker).execute(&mut *tx).await?;
         tx.commit().await?;
         Ok(())
     }
 }
 
-/// The job, if `lease` may write on it.
-async fn held(conn: &mut SqliteConnection, lease: &Lease) -> Result<Job> {
+/// The job, if `lease` may write on it; nobody else writes on it until the transaction ends.
+async fn held_to_write(conn: &mut AnyConnection, lease: &Lease) -> Result<Job> {
+    may_write(find_to_write(conn, &lease.job).await, lease)
+}
+
+fn may_write(found: Result<Job>, lease: &Lease) -> Result<Job> {
     let stale = |why| Error::Stale { job: format!("jobs/{}", lease.job), epoch: lease.epoch, why };
-    let job = match find(conn, &lease.job).await {
+    let job = match found {
         Err(Error::NotFound(_)) => return Err(stale("the job was deleted".into())),
         found => found?,
     };
@@ -196,7 +210,7 @@ async fn held(conn: &mut SqliteConnection, lease: &Lease) -> Result<Job> {
 
 /// The job, if `outcome` is what ended it under this very lease: the answer was lost on the way.
 async fn repeated(
-    conn: &mut SqliteConnection,
+    conn: &mut AnyConnection,
     lease: &Lease,
     outcome: &Outcome,
 ) -> Result<Option<Job>> {
@@ -207,18 +221,13 @@ async fn repeated(
         Outcome::Cancelled => Cancelled,
         Outcome::AttemptFailed(_) | Outcome::Released(_) => return Ok(None),
     };
-    let query = "SELECT * FROM jobs WHERE id = ? AND epoch = ? AND worker = ? AND state = ?";
+    let query = "SELECT * FROM jobs WHERE id = $1 AND epoch = $2 AND worker = $3 AND state = $4";
     let query = sqlx::query(query).bind(&lease.job).bind(lease.epoch as i64);
-    let query = query.bind(&lease.worker).bind(end.name());
+    let query = query.bind(storable(&lease.worker)).bind(end.name());
     query.fetch_optional(conn).await?.as_ref().map(job_of).transpose()
 }
 
-async fn start(
-    tx: &mut Transaction<'static, Sqlite>,
-    mut job: Job,
-    worker: &str,
-    terms: &Terms,
-) -> Result<Job> {
+async fn start(tx: &mut Tx, mut job: Job, worker: &str, terms: &Terms) -> Result<Job> {
     let now = now_ms(tx).await?;
     job.state = after(&job, Trigger::Claim)?;
     job.epoch += 1;
@@ -226,10 +235,11 @@ async fn start(
     job.appended = 0;
     job.worker = worker.into();
     job.started_ms = Some(now);
-    let update = "UPDATE jobs SET state = ?, epoch = ?, attempt = ?, worker = ?, appended = 0, \
-                  lease_until_ms = ?, started_ms = ?, stage = '', fraction = 0 WHERE id = ?";
+    let update = "UPDATE jobs SET state = $1, epoch = $2, attempt = $3, worker = $4, appended = 0, \
+                  lease_until_ms = $5, started_ms = $6, stage = '', fraction = 0 WHERE id = $7";
     let update = sqlx::query(update).bind(job.state.name()).bind(job.epoch as i64);
-    let update = update.bind(job.attempt).bind(worker).bind(now + terms.lease.as_millis() as i64);
+    let update =
+        update.bind(i64::from(job.attempt)).bind(worker).bind(now + terms.lease.as_millis() as i64);
     update.bind(now).bind(&job.id).execute(&mut **tx).await?;
     let text = format!("attempt {} begins", job.attempt);
     let entry = state_entry(&job, "CLAIMED", text);
@@ -237,8 +247,8 @@ async fn start(
     Ok(job)
 }
 
-async fn succeed(tx: &mut Transaction<'static, Sqlite>, job: Job, files: &[String]) -> Result<Job> {
-    let query = "SELECT file FROM artifacts WHERE job = ? AND epoch = ?";
+async fn succeed(tx: &mut Tx, job: Job, files: &[String]) -> Result<Job> {
+    let query = "SELECT file FROM artifacts WHERE job = $1 AND epoch = $2";
     let query = sqlx::query_scalar::<_, String>(query).bind(&job.id).bind(job.epoch as i64);
     let stored = query.fetch_all(&mut **tx).await?;
     if let Some(missing) = files.iter().find(|file| !stored.contains(file)) {
@@ -246,7 +256,7 @@ async fn succeed(tx: &mut Transaction<'static, Sqlite>, job: Job, files: &[Strin
         return Err(Error::invalid("succeeded.files", text));
     }
     for file in stored.iter().filter(|file| !files.contains(file)) {
-        let delete = "DELETE FROM artifacts WHERE job = ? AND epoch = ? AND file = ?";
+        let delete = "DELETE FROM artifacts WHERE job = $1 AND epoch = $2 AND file = $3";
         let delete = sqlx::query(delete).bind(&job.id).bind(job.epoch as i64).bind(file);
         delete.execute(&mut **tx).await?;
     }
@@ -255,7 +265,7 @@ async fn succeed(tx: &mut Transaction<'static, Sqlite>, job: Job, files: &[Strin
 
 /// Moves a running job to a final state.
 async fn end(
-    tx: &mut Transaction<'static, Sqlite>,
+    tx: &mut Tx,
     mut job: Job,
     trigger: Trigger,
     reason: &str,
@@ -265,13 +275,13 @@ async fn end(
     job.state = after(&job, trigger)?;
     job.ended_ms = Some(now);
     if trigger == Trigger::Fail {
-        job.failure = (reason.into(), text.clone());
+        job.failure = (storable(reason), storable(&text));
     }
     if trigger == Trigger::Succeed {
         job.fraction = 1.0;
     }
-    let update = "UPDATE jobs SET state = ?, ended_ms = ?, failure_reason = ?, failure_text = ?, \
-                  fraction = ? WHERE id = ?";
+    let update = "UPDATE jobs SET state = $1, ended_ms = $2, failure_reason = $3, failure_text = $4, \
+                  fraction = $5 WHERE id = $6";
     let update = sqlx::query(update).bind(job.state.name()).bind(now).bind(&job.failure.0);
     let update = update.bind(&job.failure.1).bind(job.fraction).bind(&job.id);
     update.execute(&mut **tx).await?;
@@ -280,14 +290,10 @@ async fn end(
     Ok(job)
 }
 
-async fn lose_all_of(
-    tx: &mut Transaction<'static, Sqlite>,
-    worker: &str,
-    loss: Loss,
-    max_lost: u32,
-) -> Result<Vec<Job>> {
-    let query = "SELECT * FROM jobs WHERE state = 'RUNNING' AND worker = ?";
-    let rows = sqlx::query(query).bind(worker).fetch_all(&mut **tx).await?;
+async fn lose_all_of(tx: &mut Tx, worker: &str, loss: Loss, max_lost: u32) -> Result<Vec<Job>> {
+    let query = "SELECT * FROM jobs WHERE state = 'RUNNING' AND worker = $1 ORDER BY n \
+                 /*pg FOR UPDATE */";
+    let rows = sqlx::query(sql(tx, query)).bind(worker).fetch_all(&mut **tx).await?;
     let mut jobs = Vec::with_capacity(rows.len());
     for row in &rows {
         jobs.push(lose(tx, job_of(row)?, loss, "", max_lost).await?);
@@ -296,16 +302,10 @@ async fn lose_all_of(
 }
 
 /// Takes a lease away: the job starts over, or ends when it lost too many attempts or is unwanted.
-async fn lose(
-    tx: &mut Transaction<'static, Sqlite>,
-    mut job: Job,
-    loss: Loss,
-    detail: &str,
-    max_lost: u32,
-) -> Result<Job> {
+async fn lose(tx: &mut Tx, mut job: Job, loss: Loss, detail: &str, max_lost: u32) -> Result<Job> {
     job.lost += u32::from(loss.counts());
-    let update = sqlx::query("UPDATE jobs SET lost = ? WHERE id = ?");
-    update.bind(job.lost).bind(&job.id).execute(&mut **tx).await?;
+    let update = sqlx::query("UPDATE jobs SET lost = $1 WHERE id = $2");
+    update.bind(i64::from(job.lost)).bind(&job.id).execute(&mut **tx).await?;
     let why = [loss.text(), detail].into_iter().filter(|s| !s.is_empty()).collect::<Vec<_>>();
     let why = why.join(": ");
     match verdict(job.lost, max_lost, job.cancel_requested) {
@@ -325,12 +325,7 @@ async fn lose(
     }
 }
 
-async fn requeue(
-    tx: &mut Transaction<'static, Sqlite>,
-    mut job: Job,
-    loss: Loss,
-    why: &str,
-) -> Result<Job> {
+async fn requeue(tx: &mut Tx, mut job: Job, loss: Loss, why: &str) -> Result<Job> {
     let now = now_ms(tx).await?;
     job.state = after(&job, Trigger::Requeue)?;
     let text = format!("attempt {} was lost, because {why}; the job starts over", job.attempt);
@@ -342,7 +337,7 @@ async fn requeue(
     };
     let entries = [(Body::Server(restarted), None), state_entry(&job, loss.reason(), text)];
     job.worker = String::new();
-    let update = "UPDATE jobs SET state = ?, worker = '', stage = '', fraction = 0 WHERE id = ?";
+    let update = "UPDATE jobs SET state = $1, worker = '', stage = '', fraction = 0 WHERE id = $2";
     let update = sqlx::query(update).bind(job.state.name()).bind(&job.id);
     update.execute(&mut **tx).await?;
     log(tx, &mut job, now, &entries).await?;
@@ -364,7 +359,7 @@ fn note_progress(job: &mut Job, entries: &[(Body, Option<SegmentRange>)]) {
         _ => None,
     });
     if let Some((stage, fraction)) = last {
-        job.stage.clone_from(stage);
+        job.stage = storable(stage);
         job.fraction = if fraction.is_finite() { fraction.clamp(0.0, 1.0) } else { 0.0 };
     }
 }

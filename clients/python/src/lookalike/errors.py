@@ -10,8 +10,9 @@ from grpc_status import rpc_status
 
 #: Domain of the `google.rpc.ErrorInfo` in every answer of a server.
 DOMAIN = "lookalike"
-#: The one answer that is worth another try: the server is about to restart.
-SHUTTING_DOWN = "SHUTTING_DOWN"
+#: The answers that are worth another try: the server is about to restart, or its database or objects
+#: are away for a moment.
+SHUTTING_DOWN, AWAY = "SHUTTING_DOWN", "AWAY"
 
 _TRANSIENT = {
     grpc.StatusCode.UNAVAILABLE,
@@ -88,7 +89,7 @@ class Answer:
     @property
     def is_transient(self) -> bool:
         """Whether the same call may work in a moment."""
-        return self.reason == SHUTTING_DOWN if self.reason else self.code in _TRANSIENT
+        return self.reason in (SHUTTING_DOWN, AWAY) if self.reason else self.code in _TRANSIENT
 
     @staticmethod
     def read(error: grpc.RpcError) -> Answer:

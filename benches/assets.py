@@ -1,0 +1,119 @@
+"""Every model at a quarter, a tenth, 3% and 1% of its triangles: the second table of docs/results.md."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+SHARES = (0.25, 0.10, 0.03, 0.01)
+
+
+@dataclass
+class Level:
+    """One level of detail."""
+
+    asked: int
+    triangles: int
+    stopped_by: str
+    #: d2 on unseen views, percent of full scale: ours, and of memoryless at as many triangles.
+    d2: float
+    memoryless: float
+
+
+@dataclass
+class Model:
+    """What a chain of levels took and gave."""
+
+    name: str
+    triangles: int
+    seconds: float
+    #: Peak of resident memory.
+    mebibytes: float
+    levels: list[Level]
+
+
+def timed(command: list[str | Path]) -> tuple[float, float]:
+    """Runs a command: wall seconds, and peak of resident memory in MiB."""
+    begin = time.monotonic()
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    assert process.stderr is not None
+    told = process.stderr.read()
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode != 0:
+        raise SystemExit(f"results: {' '.join(map(str, command))}: {told[-2000:].decode()}")
+    return time.monotonic() - begin, usage.ru_maxrss / 1024
+
+
+def levels_of(out: Path) -> dict[str, object]:
+    """The report of a run."""
+    return json.loads((out / "report.json").read_text())
+
+
+def measure(binary: Path, model: Path, folder: Path, device: str) -> Model:
+    """A chain at effort fast, and memoryless levels of the same sizes beside it."""
+    ours, plain = folder / f"{model.stem}-ours", folder / f"{model.stem}-plain"
+    ratios = ",".join(map(str, SHARES))
+    flags = ["--effort", "fast", "--device", device]
+    seconds, mebibytes = timed(
+        [binary, "run", model, "--ratio", ratios, "--out", ours, *flags]
+    )
+    report = levels_of(ours)
+    counts = [level["triangles"] for level in report["levels"]]
+    timed(
+        [binary, "run", model, "--triangles", ",".join(map(str, counts)), "--out", plain]
+        + ["--simplify", "memoryless", "--device", device]
+    )
+    others = levels_of(plain)["levels"]
+    levels = []
+    for share, level, other in zip(SHARES, report["levels"], others):
+        unseen = level.get("optimization") or level
+        levels.append(
+            Level(
+                asked=round(share * report["input"]["triangles"]),
+                triangles=level["triangles"],
+                stopped_by=level["stopped_by"],
+                d2=unseen["d2_unseen_percent"],
+                memoryless=other["d2_unseen_percent"],
+            )
+        )
+    return Model(model.stem, report["input"]["triangles"], seconds, mebibytes, levels)
+
+
+def table(models: list[Model]) -> str:
+    """The table of all models."""
+    heads = " | ".join(f"{100 * share:g}%" for share in SHARES)
+    lines = [
+        f"| model | triangles | {heads} | seconds | peak MiB |",
+        "|---|---:|" + "---:|" * len(SHARES) + "---:|---:|",
+    ]
+    for m in models:
+        cells = " | ".join(
+            f"{level.triangles:,}: {level.d2:.2f} ({level.d2 / level.memoryless:.2f})"
+            + ("" if level.stopped_by == "triangles" else f" {level.stopped_by}")
+            for level in m.levels
+        )
+        lines.append(
+            f"| {m.name} | {m.triangles:,} | {cells} | {m.seconds:.0f} | {m.mebibytes:,.0f} |"
+        )
+    return "\n".join(lines)
+
+
+def section(models: list[Model]) -> list[str]:
+    """The section of the page."""
+    return [
+        "",
+        "## Every model, four levels in one run",
+        "",
+        "`lookalike run MODEL --ratio .25,.1,.03,.01 --effort fast`, with the optimization that comes "
+        "with it. Each level: triangles, d2 on unseen views in percent of full scale, in brackets as a "
+        "share of memoryless simplification to as many triangles, and what ended it where that was not "
+        "the number of triangles. Seconds and memory are those of the whole process: reading, all four "
+        "levels, files and pictures.",
+        "",
+        table(models),
+    ]

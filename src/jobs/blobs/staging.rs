@@ -1,0 +1,100 @@
+//! Bytes that arrive are written to a local folder first: until they are whole nobody knows their
+//! hash, and memory is bounded whatever their size.
+
+use std::{
+    fs::{self, File},
+    io::Write,
+    path::{Path, PathBuf},
+    sync::atomic::{AtomicU64, Ordering},
+};
+
+use tokio::sync::mpsc;
+use tokio_util::bytes::Bytes;
+
+use super::local::create_dirs;
+use crate::jobs::error::{Error, Result};
+
+/// The folder.
+#[derive(Debug)]
+pub(super) struct Staging {
+    folder: PathBuf,
+    n_staged: AtomicU64,
+}
+
+/// Bytes on disk under a temporary name, removed unless committed.
+#[derive(Debug)]
+pub struct Staged {
+    pub(super) path: PathBuf,
+    /// BLAKE3, lower-case hexadecimal.
+    pub hash: String,
+    /// Bytes.
+    pub size: u64,
+    pub(super) committed: bool,
+}
+
+impl Drop for Staged {
+    fn drop(&mut self) {
+        if !self.committed {
+            // An orphan that cannot be removed now is swept at the next start.
+            let _ = fs::remove_file(&self.path);
+        }
+    }
+}
+
+impl Staging {
+    /// Opens the folder, sweeping what was being written at the last end.
+    pub(super) fn open(folder: &Path) -> Result<Self> {
+        if folder.exists() {
+            fs::remove_dir_all(folder).map_err(Error::io(folder))?;
+        }
+        create_dirs(folder)?;
+        Ok(Self { folder: folder.into(), n_staged: AtomicU64::new(0) })
+    }
+
+    /// Writes what arrives on `chunks` until it closes; at most `limit` bytes. Blocks.
+    pub(super) fn receive(&self, mut chunks: mpsc::Receiver<Bytes>, limit: u64) -> Result<Staged> {
+        let mut writer = self.writer()?;
+        while let Some(chunk) = chunks.blocking_recv() {
+            writer.write(&chunk, limit)?;
+        }
+        writer.finish()
+    }
+
+    /// Writes `bytes`. Blocks.
+    pub(super) fn write(&self, bytes: &[u8]) -> Result<Staged> {
+        let mut writer = self.writer()?;
+        writer.write(bytes, u64::MAX)?;
+        writer.finish()
+    }
+
+    fn writer(&self) -> Result<Writer> {
+        let n = self.n_staged.fetch_add(1, Ordering::Relaxed);
+        let path = self.folder.join(n.to_string());
+        let file = File::create(&path).map_err(Error::io(&path))?;
+        let staged = Staged { path, hash: String::new(), size: 0, committed: false };
+        Ok(Writer { file, hasher: blake3::Hasher::new(), staged })
+    }
+}
+
+struct Writer {
+    file: File,
+    hasher: blake3::Hasher,
+    staged: Staged,
+}
+
+impl Writer {
+    fn write(&mut self, bytes: &[u8], limit: u64) -> Result<()> {
+        self.staged.size += bytes.len() as u64;
+        if self.staged.size > limit {
+            return Err(Error::TooLarge { what: "the transfer".into(), limit });
+        }
+        self.hasher.update(bytes);
+        self.file.write_all(bytes).map_err(Error::io(&self.staged.path))
+    }
+
+    fn finish(mut self) -> Result<Staged> {
+        self.file.sync_all().map_err(Error::io(&self.staged.path))?;
+        self.staged.hash = self.hasher.finalize().to_hex().to_string();
+        Ok(self.staged)
+    }
+}

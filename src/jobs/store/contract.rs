@@ -1,0 +1,271 @@
+//! What a database has to do for several servers at once: one suite, on SQLite and on PostgreSQL.
+//!
+//! Each [`Store`] here is a server: its connections are its own.
+
+use std::{collections::BTreeSet, time::Duration};
+
+use futures::future::{join_all, try_join_all};
+use tempfile::TempDir;
+
+use super::*;
+use crate::jobs::{
+    event::Report,
+    lease::{Lease, Terms},
+    spec::{Input, Spec},
+    tests::{database, in_homes},
+};
+
+/// A database that several servers open.
+pub(super) struct Home {
+    address: Address,
+    _dir: TempDir,
+}
+
+impl Home {
+    fn on_sqlite() -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        // What a URL would take for something else.
+        let path = dir.path().join("a b?c#d%20é.sqlite3");
+        Self { address: Address::file(&path).unwrap(), _dir: dir }
+    }
+
+    fn on_postgres() -> Option<Self> {
+        let address = Address::parse(&database()?).unwrap();
+        Some(Self { address, _dir: tempfile::tempdir().unwrap() })
+    }
+
+    async fn servers<const N: usize>(&self) -> [Store; N] {
+        if !self.address.is_shared() {
+            // One server makes the tables of SQLite: the data directory has one.
+            Store::open(&self.address).await.unwrap().close().await;
+        }
+        let stores = join_all((0..N).map(|_| Store::open(&self.address))).await;
+        let stores: Result<Vec<_>> = stores.into_iter().collect();
+        stores.unwrap().try_into().unwrap()
+    }
+}
+
+in_homes! { [on_sqlite on_postgres] [
+    servers_that_start_together_agree_on_the_schema,
+    a_request_repeated_on_all_servers_makes_one_job,
+    the_cap_on_the_queue_is_exact,
+    every_job_is_claimed_once,
+    logs_have_no_gaps_whoever_writes,
+    numbers_are_committed_in_order,
+    a_job_keeps_its_meshes,
+    texts_are_kept_and_ordered_by_their_bytes,
+    the_clock_is_the_database_s,
+    expired_leases_are_lost_once,
+] }
+
+impl Store {
+    /// As a database that an earlier version left.
+    pub(in crate::jobs) async fn forget_objects(&self) {
+        sqlx::query("DELETE FROM objects").execute(&self.writers).await.unwrap();
+    }
+}
+
+fn hash(name: &str) -> String {
+    blake3::hash(name.as_bytes()).to_hex().to_string()
+}
+
+async fn add_mesh(store: &Store, name: &str) {
+    store.lock_mesh(&hash(name)).await.unwrap().add(4).await.unwrap();
+}
+
+fn new_job(request_id: &str) -> NewJob {
+    let (request_id, file_name) = (request_id.into(), "a.ply".into());
+    NewJob { request_id, mesh: hash("mesh"), file_name, spec: Spec::new(vec![5]) }
+}
+
+/// Creates jobs `{prefix}0`, … without a request's name.
+async fn create(store: &Store, prefix: &str, n_jobs: usize) -> Vec<Job> {
+    add_mesh(store, "mesh").await;
+    let mut jobs = Vec::new();
+    for i in 0..n_jobs {
+        let job = store.create(&format!("{prefix}{i}"), &new_job(""), u64::MAX >> 1).await;
+        jobs.push(job.unwrap().0);
+    }
+    jobs
+}
+
+async fn claim(store: &Store, worker: &str) -> Option<(Job, Lease)> {
+    let job = store.claim(worker, &Terms::default()).await.unwrap()?;
+    let lease = Lease { job: job.id.clone(), epoch: job.epoch, worker: worker.into() };
+    Some((job, lease))
+}
+
+fn notes(n_notes: usize) -> Vec<(Body, Option<SegmentRange>)> {
+    let note = |i| Body::Worker(Report::Note { code: "NOTE".into(), text: format!("{i}\0") });
+    (0..n_notes).map(|i| (note(i), None)).collect()
+}
+
+async fn servers_that_start_together_agree_on_the_schema(home: Home) {
+    let stores: [Store; 4] = home.servers().await;
+    create(&stores[0], "a", 1).await;
+    for store in &stores {
+        assert_eq!(store.job("a0").await.unwrap().n, 1);
+        store.close().await;
+    }
+}
+
+async fn a_request_repeated_on_all_servers_makes_one_job(home: Home) {
+    let stores: [Store; 2] = home.servers().await;
+    add_mesh(&stores[0], "mesh").await;
+    let calls = (0..40).map(|i| {
+        let store = &stores[i % 2];
+        async move { store.create(&format!("j{i}"), &new_job("same"), 100).await }
+    });
+    let made = try_join_all(calls).await.unwrap();
+    assert_eq!(made.iter().filter(|(_, is_new)| *is_new).count(), 1);
+    assert!(made.iter().all(|(job, _)| *job == made[0].0));
+    let other = NewJob { file_name: "b.ply".into(), ..new_job("same") };
+    let refused = stores[1].create("x", &other, 100).await;
+    assert!(matches!(refused, Err(Error::RequestIdReused(_))));
+}
+
+async fn the_cap_on_the_queue_is_exact(home: Home) {
+    let stores: [Store; 2] = home.servers().await;
+    add_mesh(&stores[0], "mesh").await;
+    let calls = (0..20).map(|i| {
+        let store = &stores[i % 2];
+        async move { store.create(&format!("j{i}"), &new_job(""), 7).await }
+    });
+    let made = join_all(calls).await;
+    assert_eq!(made.iter().filter(|made| made.is_ok()).count(), 7);
+    let refused = made.iter().filter(|made| matches!(made, Err(Error::QueueFull(7))));
+    assert_eq!(refused.count(), 13);
+}
+
+async fn every_job_is_claimed_once(home: Home) {
+    let stores: [Store; 2] = home.servers().await;
+    create(&stores[0], "a", 60).await;
+    let workers = (0..8).map(|w| {
+        let store = &stores[w % 2];
+        async move {
+            let mut claimed = Vec::new();
+            // Another name each time: to ask again is to abandon the job.
+            while let Some((job, _)) = claim(store, &format!("w{w}-{}", claimed.len())).await {
+                claimed.push((job.id, job.epoch));
+            }
+            claimed
+        }
+    });
+    let claimed: Vec<_> = join_all(workers).await.concat();
+    assert_eq!(claimed.len(), 60);
+    assert_eq!(claimed.into_iter().collect::<BTreeSet<_>>().len(), 60);
+}
+
+async fn logs_have_no_gaps_whoever_writes(home: Home) {
+    let stores: [Store; 2] = home.servers().await;
+    create(&stores[0], "a", 1).await;
+    let (_, lease) = claim(&stores[0], "w").await.unwrap();
+    // The same hundred events twice over, by two servers, in batches that overlap.
+    let events = notes(100);
+    let write = async |store: &Store, step: usize| {
+        let mut held = 0;
+        while held < events.len() {
+            let batch = &events[held..events.len().min(held + step)];
+            match store.append(&lease, held as u64, batch).await {
+                Ok(appended) => held = appended.held as usize,
+                Err(error) => panic!("{error}"),
+            }
+            store.heartbeat(&lease, &Terms::default()).await.unwrap();
+        }
+    };
+    // Far beyond what one statement may hold, at the end.
+    let ((), (), cancelled) =
+        tokio::join!(write(&stores[0], 7), write(&stores[1], 11), stores[1].cancel("a0"));
+    assert!(cancelled.unwrap().0.cancel_requested);
+    let many = stores[1].append(&lease, 100, &notes(9000)).await.unwrap();
+    assert_eq!((many.held, many.cancel_requested), (9100, true));
+    let log = stores[1].events("a0", 0, 20_000).await.unwrap();
+    let seqs: Vec<_> = log.iter().map(|stored| stored.event.seq).collect();
+    assert_eq!(seqs, (1..=9102).collect::<Vec<_>>());
+    let bodies = log[2..102].iter().map(|stored| &stored.event.body);
+    assert!(bodies.eq(events.iter().map(|(body, _)| body)));
+    assert_eq!(stores[0].job("a0").await.unwrap().last_seq, 9102);
+}
+
+async fn numbers_are_committed_in_order(home: Home) {
+    let stores: [Store; 3] = home.servers().await;
+    create(&stores[2], "first", 1).await;
+    let writers = async {
+        tokio::join!(create(&stores[0], "a", 40), create(&stores[1], "b", 40));
+    };
+    // Whoever has seen a number has seen all that are smaller.
+    let reader = async {
+        let mut seen = 0;
+        while seen < 81 {
+            let listed = stores[2].list(&[], None, 1000).await.unwrap();
+            assert_eq!(listed[0].n - listed[listed.len() - 1].n + 1, listed.len() as i64);
+            seen = listed.len();
+        }
+    };
+    tokio::join!(writers, reader);
+}
+
+async fn a_job_keeps_its_meshes(home: Home) {
+    let [store]: [Store; 1] = home.servers().await;
+    for name in ["mesh", "crude", "unused"] {
+        add_mesh(&store, name).await;
+    }
+    let input = Input { mesh: hash("crude"), file_name: "b.ply".into() };
+    let new = NewJob { spec: Spec::optimizing(input), ..new_job("") };
+    store.create("a", &new, 9).await.unwrap();
+    assert_eq!(store.forget_meshes(Duration::from_hours(1)).await.unwrap(), Vec::<String>::new());
+    assert_eq!(store.forget_meshes(Duration::ZERO).await.unwrap(), [hash("unused")]);
+    // Forgotten between the caller's look and the creation.
+    let late = NewJob { mesh: hash("unused"), ..new_job("") };
+    let Err(Error::Invalid(faults)) = store.create("b", &late, 9).await else { panic!("created") };
+    assert_eq!(faults[0].field, "mesh");
+    assert_eq!(store.list(&[], None, 9).await.unwrap().len(), 1);
+}
+
+async fn texts_are_kept_and_ordered_by_their_bytes(home: Home) {
+    let [store]: [Store; 1] = home.servers().await;
+    create(&store, "a", 1).await;
+    let (_, lease) = claim(&store, "w").await.unwrap();
+    let files = ["Z.glb", "_.glb", "a.glb", "b-1.glb", "b.glb"];
+    for size in [1, 2] {
+        for file in files.iter().rev() {
+            let (file, media_type) = ((*file).into(), "text/\0plain".into());
+            let artifact = Artifact { file, media_type, size, blake3: hash("x") };
+            store.add_artifact(&lease, &artifact).await.unwrap();
+        }
+    }
+    let outcome = Outcome::Failed("BAD\0".into(), "quote ' \" $1 ? \0 é".into());
+    let job = store.complete(&lease, &outcome, 3).await.unwrap();
+    assert_eq!(job.failure, ("BAD\u{fffd}".into(), "quote ' \" $1 ? \u{fffd} é".into()));
+    let (again, artifacts) = store.artifacts("a0").await.unwrap();
+    assert_eq!(again, job);
+    assert!(artifacts.iter().map(|artifact| &*artifact.file).eq(files));
+    assert!(artifacts.iter().all(|artifact| artifact.size == 2));
+    assert!(matches!(store.job("\0").await, Err(Error::NotFound(_))));
+}
+
+async fn the_clock_is_the_database_s(home: Home) {
+    let [store]: [Store; 1] = home.servers().await;
+    let mut tx = store.begin().await.unwrap();
+    let first = now_ms(&mut tx).await.unwrap();
+    tokio::time::sleep(Duration::from_millis(30)).await;
+    let then = now_ms(&mut tx).await.unwrap();
+    // It goes on within a transaction, and it is in milliseconds since 1970.
+    assert!((20..20_000).contains(&(then - first)), "{first} {then}");
+    assert!(first > 1_700_000_000_000);
+}
+
+async fn expired_leases_are_lost_once(home: Home) {
+    let stores: [Store; 2] = home.servers().await;
+    create(&stores[0], "a", 10).await;
+    let short = Terms { lease: Duration::from_millis(1), ..Terms::default() };
+    for w in 0..10 {
+        stores[0].claim(&format!("w{w}"), &short).await.unwrap().unwrap();
+    }
+    tokio::time::sleep(Duration::from_millis(20)).await;
+    let (a, b) = tokio::join!(stores[0].lose_expired(3), stores[1].lose_expired(3));
+    assert_eq!(a.unwrap().len() + b.unwrap().len(), 10);
+    for job in stores[1].list(&[], None, 99).await.unwrap() {
+        assert_eq!((job.state, job.lost, job.last_seq), (State::Queued, 1, 4));
+    }
+}
