@@ -187,7 +187,9 @@ fn optimize(
             .run(&mut on)
             .expect("the twin never fails");
     }
+    let n_sets = options.get("sets", 16);
     let turns = Turns {
+        n_looked_at: n_sets,
         evaluations,
         n_others: options.get("others", 3),
         steps: [options.get("first", 48), options.get("steps", 24), options.get("rest", 48)],
@@ -195,7 +197,7 @@ fn optimize(
     };
     let center = bounding_sphere(stage.original).center;
     let set = |turn| ViewSet::turned(stage.original, &stage.pictures, center, turn);
-    let sets: Vec<ViewSet> = (0..options.get("sets", 16)).map(set).collect();
+    let sets: Vec<ViewSet> = (0..n_sets as u64).map(set).collect();
     let mut show = |set: usize, mesh: &EditMesh| Ok(stage.shown(mesh, &sets[set]));
     alternate::<OptimizeError>(mesh, params, turns, &sets, &mut show, &mut on)
         .expect("the twin never fails")

@@ -1,7 +1,7 @@
-"""What image-driven optimization reaches, measured: writes docs/results.md and its pictures.
+"""What Lookalike reaches, measured: writes docs/results.md and its pictures.
 
     make results                  # everything: about an hour on two cores
-    make results QUICK=1          # the short runs alone: a few minutes
+    make results QUICK=1          # the short runs alone: some minutes
 
 Every figure comes from `report.json` and from `lookalike compare` (24 views that no run works with,
 512 x 512, anti-aliased). Budgets are energy evaluations, so the same build gives the same meshes
@@ -20,6 +20,8 @@ import subprocess
 import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
+
+import assets
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -41,6 +43,9 @@ class Experiment:
     #: Where the curve is read off, in evaluations.
     marks: tuple[int, ...] = field(default=())
 
+
+#: Larger models are left out of quick runs.
+QUICK_BYTES = 4_000_000
 
 MEMORYLESS = ("--simplify", "memoryless")
 CLUSTER = ("--simplify", "cluster", "--topology", "free")
@@ -186,7 +191,7 @@ def table(rows: list[Row]) -> str:
     return "\n".join(lines)
 
 
-def page(rows: list[Row], absent: list[str]) -> str:
+def page(rows: list[Row], models: list[assets.Model], absent: list[str]) -> str:
     """The whole page."""
     cores = len(os.sched_getaffinity(0))
     device = rows[0].device if rows else "none"
@@ -213,6 +218,8 @@ def page(rows: list[Row], absent: list[str]) -> str:
             "",
             f"![original, start and end, with differences below]({row.picture})",
         ]
+    if models:
+        parts += assets.section(models)
     return "\n".join(parts) + "\n"
 
 
@@ -240,7 +247,13 @@ def main() -> None:
             row = bench.run(number, experiment)
             rows.append(row)
             print(f"{experiment.name}: E {100 * row.energy_ratio:.1f}%", flush=True)
-    args.out.write_text(page(rows, absent))
+        models = []
+        for path in sorted(args.models.glob("*.glb")) if not args.only else []:
+            if args.quick and path.stat().st_size > QUICK_BYTES:
+                continue
+            models.append(assets.measure(args.binary, path, Path(folder), args.device))
+            print(assets.table(models[-1:]).splitlines()[-1], flush=True)
+    args.out.write_text(page(rows, models, absent))
     print(args.out)
 
 

@@ -4,8 +4,9 @@
 //!
 //! A turn is a descent of all vertices by the slopes in view after view, then discrete moves judged by
 //! the evaluator in one set of views; the next turn takes another set. What the discrete moves have
-//! spoilt for other views, the next descent mends. After some turns come cycles (`cycle.rs`), made of
-//! turns themselves.
+//! spoilt for other views, the next descent mends. All view sets judge what comes out (`held.rs`). After some
+//! turns come cycles (`cycle.rs`), made of turns themselves. Where descents do not pay, turns are all in the
+//! run-time views, and sets that nothing looks at judge.
 //!
 //! Invariants:
 //! 1. turn 0 and every (n + 1)-th one after it show the views that the run is judged by; the n turns
@@ -51,14 +52,23 @@ pub struct Turns {
     pub evaluations: u64,
     /// Turns with other views between two that count.
     pub n_others: usize,
+    /// The first so many view sets are looked at by moves and descents; the others only judge.
+    pub n_looked_at: usize,
     /// Steps of descents: the first, those between, the last.
     pub steps: [usize; 3],
     /// Evaluations of a cycle of more and fewer triangles; 0: none.
     pub cycle: u64,
 }
 
-/// Optimizes in turns, each with the objective that `show` makes for it; descents see all of `sets`. If
-/// there is one set, turns search single vertices too. `params.max_evaluations` must not be 0, and is
+impl Turns {
+    /// Nothing happens between the moves of turns in the run-time views.
+    fn is_search(&self) -> bool {
+        self.n_looked_at == 1 && self.steps == [0; 3]
+    }
+}
+
+/// Optimizes in turns, each with the objective that `show` makes for it. If one of `sets` is looked at, turns
+/// search single vertices too. `params.max_evaluations` must not be 0, and is
 /// for all turns together.
 pub fn alternate<E: From<OptimizeError>>(
     mesh: &mut EditMesh,
@@ -115,9 +125,10 @@ pub(super) fn tell(edits: &[EditRecord], on: &mut Listener<'_>) -> ControlFlow<(
 const MAX_FRUITLESS: u32 = 6;
 
 /// One turn.
-struct Turn {
+pub(super) struct Turn {
     set: usize,
-    n_steps: usize,
+    /// Steps of the descent before it.
+    pub n_steps: usize,
 }
 
 /// Some turns and the descent after them.
@@ -192,7 +203,7 @@ impl<'a> Alternation<'a> {
         let before_cycles = 2 * length / 5;
         let n_cycles = max.saturating_sub(before_cycles).checked_div(length).unwrap_or(0);
         if n_cycles > 0 {
-            self.take_turns(mesh, Stretch { end: before_cycles, counts: true }, show, on)?;
+            self.take_judged_turns(mesh, before_cycles, show, on)?;
             self.settle(mesh, show)?;
         }
         for k in 1..=n_cycles {
@@ -204,7 +215,7 @@ impl<'a> Alternation<'a> {
                 return Err(Halt::By(StoppedBy::Converged));
             }
         }
-        self.take_turns(mesh, Stretch { end: max, counts: true }, show, on)?;
+        self.take_judged_turns(mesh, max, show, on)?;
         self.settle(mesh, show)
     }
 
@@ -236,12 +247,30 @@ impl<'a> Alternation<'a> {
         show: &mut Shower<'_, E>,
         on: &mut Listener<'_>,
     ) -> Result<(), Halt<E>> {
-        while let Some(turn) = self.next_turn(mesh, stretch) {
-            heard(self.descend(mesh, turn.n_steps, on))?;
-            let mut objective = show(turn.set, mesh).map_err(Halt::Fault)?;
-            self.make_moves(mesh, (&turn, stretch), &mut objective, on)?;
+        let Some(mut turn) = self.next_turn(mesh, stretch) else {
+            return heard(self.descend(mesh, self.affordable(mesh, stretch), on));
+        };
+        heard(self.descend(mesh, turn.n_steps, on))?;
+        while let Some(next) = self.take_turn(mesh, (&turn, stretch), show, on)? {
+            turn = next;
         }
-        heard(self.descend(mesh, self.affordable(mesh, stretch), on))
+        Ok(())
+    }
+
+    /// The moves of a turn, and the descent after it. Returns the next turn.
+    pub fn take_turn<E: From<OptimizeError>>(
+        &mut self,
+        mesh: &mut EditMesh,
+        (turn, stretch): (&Turn, Stretch),
+        show: &mut Shower<'_, E>,
+        on: &mut Listener<'_>,
+    ) -> Result<Option<Turn>, Halt<E>> {
+        let mut objective = show(turn.set, mesh).map_err(Halt::Fault)?;
+        self.make_moves(mesh, (turn, stretch), &mut objective, on)?;
+        let next = self.next_turn(mesh, stretch);
+        let n_steps = next.as_ref().map_or_else(|| self.affordable(mesh, stretch), |t| t.n_steps);
+        heard(self.descend(mesh, n_steps, on))?;
+        Ok(next)
     }
 
     /// Steps of the descent that ends a stretch, if there are evaluations enough.
@@ -256,8 +285,8 @@ impl<'a> Alternation<'a> {
     }
 
     /// The next turn; `None` when there are no evaluations left for one.
-    fn next_turn(&mut self, mesh: &EditMesh, stretch: Stretch) -> Option<Turn> {
-        let (number, n_others) = (self.n_turns, self.sets.len() - 1);
+    pub fn next_turn(&mut self, mesh: &EditMesh, stretch: Stretch) -> Option<Turn> {
+        let (number, n_others) = (self.n_turns, self.turns.n_looked_at - 1);
         let n_steps = self.turns.steps[usize::from(number > 0)];
         if self.left(mesh, stretch) <= descent::cost(mesh, n_steps) {
             return None;
@@ -274,11 +303,11 @@ impl<'a> Alternation<'a> {
 
     /// A view set for what happens between turns.
     pub fn some_set(&self) -> usize {
-        self.n_turns % self.sets.len()
+        self.n_turns % self.turns.n_looked_at
     }
 
     /// Steps of the last descent that a stretch allows.
-    fn affordable(&self, mesh: &EditMesh, stretch: Stretch) -> usize {
+    pub fn affordable(&self, mesh: &EditMesh, stretch: Stretch) -> usize {
         let left = stretch.end.saturating_sub(self.outcome.evaluations);
         let mut n_steps = self.last_steps(stretch);
         while n_steps > 0 && descent::cost(mesh, n_steps) > left {
@@ -288,7 +317,7 @@ impl<'a> Alternation<'a> {
     }
 
     /// A descent in so many steps.
-    fn descend(
+    pub fn descend(
         &mut self,
         mesh: &mut EditMesh,
         n_steps: usize,
@@ -310,7 +339,8 @@ impl<'a> Alternation<'a> {
         let steps = (self.n_steps, n_steps);
         self.n_steps += n_steps;
         self.outcome.evaluations += cost;
-        match descent::descend(mesh, self.sets, steps, unknowns, &mut on_step) {
+        let sets = &self.sets[..self.turns.n_looked_at];
+        match descent::descend(mesh, sets, steps, unknowns, &mut on_step) {
             ControlFlow::Continue(edits) => tell(&edits, on),
             ControlFlow::Break(()) => ControlFlow::Break(()),
         }
@@ -332,11 +362,13 @@ impl<'a> Alternation<'a> {
             max_evaluations: self.left(mesh, stretch).min(self.turns.evaluations).max(1),
             until: if is_heard { self.params.until * first } else { 0.0 },
             // Descents know no pixels: what is left to find for one set of pictures, searches find.
-            has_vertex_moves: self.params.has_vertex_moves && self.sets.len() == 1,
+            has_vertex_moves: self.params.has_vertex_moves && self.turns.n_looked_at == 1,
             ..self.params.clone()
         };
+        let is_search = self.turns.is_search();
         let mut optimizer = match self.memory.take() {
-            Some(known) => Optimizer::resume(mesh, objective, params, known),
+            Some(known) if is_search => Optimizer::resume(mesh, objective, params, known),
+            Some(known) => Optimizer::resume(mesh, objective, params, known.seen_anew()),
             None => Optimizer::new(mesh, objective, params),
         };
         let told = Told { is_heard, turn: self.n_turns as u32, spent, total };
@@ -352,6 +384,7 @@ impl<'a> Alternation<'a> {
             by @ (StoppedBy::Caller | StoppedBy::Energy) if by == StoppedBy::Caller || is_heard => {
                 Err(Halt::By(by))
             }
+            StoppedBy::Converged if is_search => Err(Halt::By(StoppedBy::Converged)),
             _ => Ok(()),
         }
     }

@@ -62,36 +62,22 @@ impl Alternation<'_> {
         show: &mut Shower<'_, E>,
         on: &mut Listener<'_>,
     ) -> Result<(), Halt<E>> {
-        let before = self.residual(mesh);
+        let (before, worst) = (self.judged(mesh), self.residual(mesh));
         // What comes after it is to be paid for, too.
         let end = end.saturating_sub(descent::cost_of_looks(mesh, self.sets.len()));
-        let mut trial = mesh.clone();
-        let mut edits = Vec::new();
-        let mut remember = |step: Step<'_>| match step {
-            Step::Edit(edit) => {
-                edits.push(edit.to_record());
-                ControlFlow::Continue(())
+        let attempted = self.attempt(mesh, before, on, |this, mesh, on| {
+            let mut on = |step: Step<'_>| match step {
+                Step::Sample(_) | Step::Moves(_) => ControlFlow::Continue(()),
+                step => on(step),
+            };
+            match this.refine_and_coarsen(mesh, (&worst, end), show, &mut on) {
+                Err(halt @ (Halt::Fault(_) | Halt::By(StoppedBy::Caller))) => Err(halt),
+                _ => Ok(()),
             }
-            Step::Progress { .. } => on(step),
-            Step::Sample(_) | Step::Moves(_) => ControlFlow::Continue(()),
-        };
-        let ended = self.refine_and_coarsen(&mut trial, (&before, end), show, &mut remember);
-        // One that was broken off may have come far enough.
-        let is_kept = trial.n_faces() <= self.n_faces
-            && !matches!(ended, Err(Halt::Fault(_)))
-            && self.residual(&trial).energy < before.energy;
-        let mut flow = ControlFlow::Continue(());
-        if is_kept {
-            *mesh = trial;
-            flow = tell(&edits, on);
-        } else {
-            self.forget(mesh);
-        }
+        });
+        let is_kept = matches!(attempted, Ok(((), Some(_))));
         self.n_fruitless = if is_kept { 0 } else { self.n_fruitless + 1 };
-        match ended {
-            Err(halt @ (Halt::Fault(_) | Halt::By(StoppedBy::Caller))) => Err(halt),
-            _ => heard(flow),
-        }
+        attempted.map(|_| ())
     }
 
     fn refine_and_coarsen<E: From<OptimizeError>>(
@@ -144,7 +130,7 @@ impl Alternation<'_> {
     }
 
     /// What is remembered of a mesh is of no use for this one.
-    fn forget(&mut self, mesh: &EditMesh) {
+    pub(super) fn forget(&mut self, mesh: &EditMesh) {
         let n_faces = self.n_faces.max(mesh.n_faces());
         let elsewhere = |memory: Memory| memory.elsewhere(mesh, n_faces, self.params);
         self.memory = self.memory.take().map(elsewhere);

@@ -34,7 +34,8 @@ const LONGEST_TURN: f64 = 0.1;
 /// What comes out is the mean over this share of the steps, the last ones.
 const MEAN_OVER: f64 = 0.3;
 
-/// Pixels that say whether a descent has helped: those of one view set or, of small pictures, of several.
+/// Pixels that say whether a descent has helped: those of one view set or, of small pictures, of several. It is the
+/// last sets that say so: moves have looked at these the least, and image-driven simplification not at all.
 const JUDGED_PIXELS: u64 = 1 << 20;
 
 /// What a descent may change.
@@ -74,7 +75,8 @@ pub fn descend(
     let mut walk = Walk::new(mesh, unknowns, n_steps);
     let n_judges = JUDGED_PIXELS.div_ceil(scene.n_pixels().max(1)).min(sets.len() as u64) as usize;
     let judge = |walk: &Walk, scene: &mut Scene| -> f64 {
-        (0..n_judges).map(|k| walk.look(scene, set(k), unknowns).energy).sum()
+        let judges = sets.iter().rev().take(n_judges);
+        judges.map(|set| walk.look(scene, set, unknowns).energy).sum()
     };
     let before = judge(&walk, &mut scene);
     for k in 0..n_steps {

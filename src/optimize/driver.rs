@@ -81,14 +81,13 @@ impl<'a> Optimizer<'a> {
         Self { mesh, objective, params, memory, sources: Sources::default() }
     }
 
-    /// Goes on where another optimizer of the same mesh left off, maybe with other pictures.
+    /// Goes on where another optimizer of the same mesh left off.
     pub fn resume(
         mesh: &'a mut EditMesh,
         objective: &'a mut Objective,
         params: Params,
-        mut memory: Memory,
+        memory: Memory,
     ) -> Self {
-        memory.see_anew();
         Self { mesh, objective, params, memory, sources: Sources::default() }
     }
 

@@ -27,7 +27,7 @@ use super::{
 /// Sets that judge, at most, where all are looked at: the last ones, which moves look at the least.
 const MAX_JUDGES: usize = 3;
 /// Turns end when so many in a row, or one for each set that is looked at, were in vain.
-const MAX_IN_VAIN: usize = 2;
+const MAX_IN_VAIN: usize = 3;
 
 /// A step that is told when it is known to stay.
 #[expect(clippy::large_enum_variant, reason = "almost all are edits")]

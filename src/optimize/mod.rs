@@ -20,6 +20,7 @@ mod cycle;
 mod descent;
 mod driver;
 mod edges;
+mod held;
 mod operations;
 mod oracle;
 mod params;

@@ -97,10 +97,12 @@ impl Memory {
     }
 
     /// Other pictures are looked at, or vertices were moved: what was found out is doubtful.
-    pub fn see_anew(&mut self) {
+    #[must_use]
+    pub fn seen_anew(mut self) -> Self {
         self.collapses.doubt();
         self.splits.doubt();
         self.steps.iter_mut().for_each(|step| *step = step.max(STIRRED));
+        self
     }
 }
 

@@ -162,14 +162,19 @@ fn views_take_turns_and_the_last_word_is_told() {
     let (original, simplified) = models();
     let pictures = pictures(&original, Shading::Flat);
     let ran = take_turns(&original, simplified, &pictures, &budget(8_000), 0);
-    assert!(ran.turns.starts_with(&[0, 0, 1, 0, 2, 0]) && ran.turns.last() == Some(&0), "{ran:?}");
+    // The view sets' judgement, a turn each, ends the run before its budget does.
+    assert!(
+        ran.turns.starts_with(&[0, 0, 1, 0]) && ran.turns.last() == Some(&0),
+        "{:?}",
+        ran.turns
+    );
     assert!(ran.replayed == ran.mesh, "the edits that were told do not lead to the mesh");
     let now = show(&original, &pictures, &EditMesh::new(ran.mesh).unwrap(), false).energy();
     let (first, last) = (ran.samples[0], ran.samples[ran.samples.len() - 1]);
     assert_eq!((ran.outcome.energy_after, last.energy), (now, Some(now)));
     assert_eq!((first.evaluations, last.evaluations), (0, ran.outcome.evaluations));
     assert!(ran.samples.is_sorted_by_key(|s| s.evaluations));
-    assert!((7_000..9_000).contains(&ran.outcome.evaluations), "{:?}", ran.outcome);
+    assert!(ran.outcome.evaluations < 9_000, "{:?}", ran.outcome);
     assert!(now * 10 < ran.outcome.energy_before * 9, "{:?}", ran.outcome);
 }
 
@@ -236,7 +241,13 @@ fn what_is_told_is_what_was_done_wherever_the_caller_breaks_off() {
         let outcome = alternate::<OptimizeError>(
             &mut mesh,
             &budget(20_000),
-            Turns { evaluations: 1_000, n_others: 1, steps: [12, 6, 12], cycle: 3_000 },
+            Turns {
+                evaluations: 1_000,
+                n_others: 1,
+                n_looked_at: 2,
+                steps: [12, 6, 12],
+                cycle: 3_000,
+            },
             &sets,
             &mut |set, mesh| Ok(show(&original, &sets[set].pictures, mesh, false)),
             &mut |step| {
@@ -282,7 +293,7 @@ fn take_turns(
     let outcome = alternate::<OptimizeError>(
         &mut mesh,
         params,
-        Turns { evaluations: 1_000, n_others: 1, steps: [12, 6, 12], cycle },
+        Turns { evaluations: 1_000, n_others: 1, n_looked_at: 4, steps: [12, 6, 12], cycle },
         &sets,
         &mut |set, mesh| {
             turns.push(set);

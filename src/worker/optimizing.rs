@@ -6,7 +6,7 @@ use crate::{
     memoryless,
     mesh::{EditMesh, Marks, Mesh, Stage, Step},
     metric::d2_percent,
-    optimize::{Optimizer, Outcome, alternate},
+    optimize::{Outcome, alternate},
 };
 
 use super::{
@@ -130,20 +130,16 @@ fn optimize_mesh(
 ) -> Result<Outcome, PipelineError> {
     let params = params::optimization(job.spec, budget, mesh.n_faces());
     let turns = params::turns(job.spec, budget, mesh.n_faces());
-    let n_sets = params::n_view_sets(job.spec, budget);
+    let n_sets = params::n_view_sets(job.spec, budget, mesh.n_faces());
     let studio = &mut job.studio;
-    while turns.is_some() && studio.sets().len() < n_sets {
+    while studio.sets().len() < n_sets {
         recorder.check()?;
         studio.add_set();
     }
     let studio = &*studio;
     let mut show = |set: usize, mesh: &EditMesh| Ok(studio.show(set, mesh)?);
     let mut on = |step: Step<'_>| recorder.step(&step);
-    if let Some(turns) = turns {
-        return alternate(mesh, &params, turns, &studio.sets()[..n_sets], &mut show, &mut on);
-    }
-    let mut objective = show(0, mesh)?;
-    Ok(Optimizer::new(mesh, &mut objective, params).run(&mut on)?)
+    alternate(mesh, &params, turns, &studio.sets()[..n_sets], &mut show, &mut on)
 }
 
 fn optimized(outcome: &Outcome) -> Optimized {

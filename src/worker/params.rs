@@ -142,18 +142,35 @@ fn rota_of(spec: &Spec, budget: &Budget) -> Rota {
 /// Most bytes of the original's pictures in all view sets.
 const VIEW_SET_BYTES: usize = 128 << 20;
 
-/// How view sets take turns in the optimization of so many triangles; `None` where turns would not pay.
-pub fn turns(spec: &Spec, budget: &Budget, n_faces: usize) -> Option<optimize::Turns> {
+/// Evaluations for each triangle between two judgements of a search in the run-time views.
+const SEARCH: u64 = 10;
+/// View sets that judge it.
+const N_JUDGES: usize = 2;
+
+/// How view sets take turns in the optimization of so many triangles.
+pub fn turns(spec: &Spec, budget: &Budget, n_faces: usize) -> optimize::Turns {
     let n = n_faces as u64;
     let Rota { steps, turn, .. } = rota_of(spec, budget);
-    let pays = n_pixels(spec) as u64 >= TURNS_FROM_PIXELS * n;
-    let turns = optimize::Turns { evaluations: turn * n, n_others: 3, steps, cycle: CYCLE * n };
-    pays.then_some(turns)
+    if descents_pay(spec, n_faces) {
+        let n_looked_at = n_view_sets(spec, budget, n_faces);
+        let (evaluations, cycle) = (turn * n, CYCLE * n);
+        optimize::Turns { evaluations, n_others: 3, n_looked_at, steps, cycle }
+    } else {
+        let (evaluations, steps) = (SEARCH * n, [0; 3]);
+        optimize::Turns { evaluations, n_others: 0, n_looked_at: 1, steps, cycle: 0 }
+    }
+}
+
+/// Whether so many triangles have pixels enough for descents.
+pub fn descents_pay(spec: &Spec, n_faces: usize) -> bool {
+    n_pixels(spec) as u64 >= TURNS_FROM_PIXELS * n_faces as u64
 }
 
 /// Number of view sets, the run-time views among them.
-pub fn n_view_sets(spec: &Spec, budget: &Budget) -> usize {
-    (VIEW_SET_BYTES / n_pixels(spec).max(1)).clamp(1, rota_of(spec, budget).n_sets)
+pub fn n_view_sets(spec: &Spec, budget: &Budget, n_faces: usize) -> usize {
+    let n_sets = rota_of(spec, budget).n_sets;
+    let n_sets = if descents_pay(spec, n_faces) { n_sets } else { n_sets.min(1 + N_JUDGES) };
+    (VIEW_SET_BYTES / n_pixels(spec).max(1)).clamp(1, n_sets)
 }
 
 /// Pixels of all run-time views.
