@@ -151,13 +151,14 @@ const N_JUDGES: usize = 2;
 pub fn turns(spec: &Spec, budget: &Budget, n_faces: usize) -> optimize::Turns {
     let n = n_faces as u64;
     let Rota { steps, turn, .. } = rota_of(spec, budget);
+    let n_sets = n_view_sets(spec, budget, n_faces);
     if descents_pay(spec, n_faces) {
-        let n_looked_at = n_view_sets(spec, budget, n_faces);
         let (evaluations, cycle) = (turn * n, CYCLE * n);
-        optimize::Turns { evaluations, n_others: 3, n_looked_at, steps, cycle }
+        optimize::Turns { evaluations, n_others: 3, n_looked_at: n_sets, steps, cycle }
     } else {
-        let (evaluations, steps) = (SEARCH * n, [0; 3]);
-        optimize::Turns { evaluations, n_others: 0, n_looked_at: 1, steps, cycle: 0 }
+        // Where nobody judges, it goes on to the end.
+        let evaluations = if n_sets == 1 { u64::MAX } else { SEARCH * n };
+        optimize::Turns { evaluations, n_others: 0, n_looked_at: 1, steps: [0; 3], cycle: 0 }
     }
 }
 

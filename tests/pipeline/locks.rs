@@ -93,9 +93,11 @@ fn locked_vertices_stay_through_every_stage() {
 
 #[test]
 fn single_moves_leave_locked_vertices_alone() {
-    // The run-time views alone, and triangles too small for turns: searches, swaps, teleports, edges.
+    // The run-time views alone, whose energy is asked for, and triangles too small for descents: searches, swaps,
+    // teleports, edges.
     let render = Render { n_views: 4, image_size: 64, ..Render::default() };
-    let optimize = Optimize { max_evaluations: Some(40_000), ..Optimize::default() };
+    let optimize =
+        Optimize { max_evaluations: Some(40_000), until: Some(0.01), ..Optimize::default() };
     let spec = Spec { render, optimize, effort: Effort::Fast, ..spec(vec![300]) };
     let done = job(&spec, "terrain.ply", &ply(&terrain(), is_in_mask), "cpu");
     check(&done, |v| is_in_mask(v) || is_on_border(v));

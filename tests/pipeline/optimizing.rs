@@ -12,7 +12,7 @@ use serde_json::Value;
 use super::support::{Done, job, job_on, sample};
 
 fn small() -> Render {
-    Render { n_views: 6, image_size: 64, ..Render::default() }
+    Render { n_views: 6, image_size: 128, ..Render::default() }
 }
 
 fn spec(triangles: Vec<u32>) -> Spec {
@@ -24,13 +24,14 @@ fn optimization(done: &Done, level: usize) -> Value {
     done.report()["levels"][level]["optimization"].clone()
 }
 
-/// What every optimized level must keep: less energy, and the file and the stream lead to it.
+/// What every optimized level must keep: it looks more like the original from where no stage has looked, and the
+/// file and the stream lead to it.
 fn check(done: &Done, levels: usize) {
     let reader = Reader::open(&done.files["progressive.lkpm"]).unwrap();
     for level in 0..levels {
         let told = optimization(done, level);
-        assert!(told["energy_ratio"].as_f64().unwrap() < 1.0, "{told}");
-        assert_eq!(told["d2_unseen_percent"].as_array().unwrap().len(), 2);
+        let unseen = [0, 1].map(|i| told["d2_unseen_percent"][i].as_f64().unwrap());
+        assert!(unseen[1] < unseen[0], "{told}");
         let name = format!("lod-{level}");
         let file = &done.files[&format!("{name}.glb")];
         assert!(&write_glb(&reader.extract_level(&name).unwrap()).unwrap() == file, "{name}");
@@ -53,7 +54,7 @@ fn check(done: &Done, levels: usize) {
 
 #[test]
 fn every_level_is_optimized_and_the_records_lead_to_it() {
-    let done = job(&spec(vec![150, 600]), "sample.glb", &sample(4000), "cpu");
+    let done = job(&spec(vec![60, 150]), "sample.glb", &sample(4000), "cpu");
     check(&done, 2);
     let stages: Vec<_> = done.report()["stages"].as_array().unwrap().clone();
     let names: Vec<_> = stages.iter().map(|s| s["stage"].as_str().unwrap()).collect();
