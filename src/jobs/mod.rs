@@ -6,21 +6,25 @@
 //! DIR/lock           held by the server that owns the directory
 //! DIR/jobs.sqlite3   jobs, leases, event log, manifests (store/)
 //! DIR/objects/       meshes, record segments, artifacts (blobs.rs)
-//! DIR/workers/       one lock file for each local worker, held while it lives
+//! DIR/workers/       one lock file for each local worker, held while it lives; the server's socket
 //! ```
 //!
 //! 1. What a call returned `Ok` for survives the death of every process.
 //! 2. Bytes are in place before the row that tells of them.
 //! 3. Every write of a worker is conditional on its lease.
 //!
-//! `clients.rs`, `attempts.rs` and `follow.rs` hold what clients, workers and watchers ask for.
+//! `clients.rs`, `attempts.rs` and `follow.rs` hold what clients, workers and watchers ask for;
+//! `owners.rs` what of that a principal may see.
 
+pub mod audit;
 pub mod blobs;
 pub mod clients;
 pub mod error;
 pub mod event;
 pub mod follow;
 pub mod lease;
+pub mod owners;
+pub mod principal;
 pub mod segment;
 pub mod signals;
 pub mod spec;
@@ -53,8 +57,14 @@ pub struct Limits {
     pub max_artifact_bytes: u64,
     /// Jobs that may wait at once.
     pub max_queued: u64,
+    /// Jobs of one owner that may wait at once.
+    pub max_owner_queued: u64,
+    /// Bytes of an owner's meshes and results together.
+    pub max_owner_bytes: u64,
     /// Meshes that no job names are removed at a start when nobody asked for them in so long.
     pub keep_meshes: Duration,
+    /// Entries of the audit table are removed at a start when they are older.
+    pub keep_audit: Duration,
 }
 
 impl Default for Limits {
@@ -63,7 +73,10 @@ impl Default for Limits {
             max_mesh_bytes: 4 << 30,
             max_artifact_bytes: 4 << 30,
             max_queued: 100_000,
+            max_owner_queued: 100_000,
+            max_owner_bytes: u64::MAX,
             keep_meshes: Duration::from_hours(7 * 24),
+            keep_audit: Duration::from_hours(366 * 24),
         }
     }
 }
@@ -145,6 +158,11 @@ impl Jobs {
         self.lose_worker(worker, Loss::WorkerExited).await
     }
 
+    /// The folder of local workers: their lock files, and the server's socket for them.
+    pub fn workers_dir(&self) -> PathBuf {
+        self.0.workers.clone()
+    }
+
     /// The file that a local worker locks as long as it lives.
     pub fn worker_lock(&self, worker: &str) -> PathBuf {
         self.0.workers.join(format!("{worker}.lock"))
@@ -171,6 +189,7 @@ impl Jobs {
     /// Removes the files of jobs that are no more, and meshes that nobody wants. Only at a start,
     /// when no upload can be under way.
     async fn sweep_orphans(&self) -> Result<()> {
+        self.0.store.forget_audit(self.0.limits.keep_audit).await?;
         for hash in self.0.store.forget_meshes(self.0.limits.keep_meshes).await? {
             self.0.blobs.remove_mesh(&hash)?;
         }

@@ -8,10 +8,11 @@ use tokio::{runtime::Runtime, sync::mpsc};
 use tokio_util::bytes::Bytes;
 
 use super::{
-    clients::Announced,
+    clients::{Announced, StoredMesh},
     error::Error,
     event::{Body, Event, Report, ServerEvent},
     lease::Lease,
+    principal::LOCAL,
     spec::Spec,
     state::State,
     store::{Artifact, NewJob, Outcome},
@@ -31,10 +32,15 @@ fn bytes_of(chunks: &[&'static [u8]]) -> mpsc::Receiver<Bytes> {
     receive
 }
 
+async fn put_mesh(jobs: &Jobs, owner: &str) -> StoredMesh {
+    let chunks = bytes_of(&[b"a ", b"mesh"]);
+    jobs.put_mesh(owner, Announced::default(), chunks).await.unwrap()
+}
+
 async fn new_job(jobs: &Jobs, request_id: &str) -> NewJob {
-    let mesh = jobs.put_mesh(Announced::default(), bytes_of(&[b"a ", b"mesh"])).await.unwrap();
+    let mesh = put_mesh(jobs, LOCAL).await.hash;
     let (request_id, file_name) = (request_id.into(), "a.ply".into());
-    NewJob { request_id, mesh: mesh.hash, file_name, spec: Spec::new(vec![5]) }
+    NewJob { owner: LOCAL.into(), request_id, mesh, file_name, spec: Spec::new(vec![5]) }
 }
 
 async fn create(jobs: &Jobs) -> Job {
@@ -247,6 +253,7 @@ async fn requests_are_idempotent_and_checked_as_a_whole() {
     let other = NewJob { spec: Spec::new(vec![6]), ..new };
     assert!(matches!(jobs.create(other, vec![]).await, Err(Error::RequestIdReused(_))));
     let bad = NewJob {
+        owner: LOCAL.into(),
         request_id: "\n".into(),
         mesh: "0".repeat(64),
         file_name: "a/b".into(),
@@ -262,7 +269,7 @@ async fn damaged_transfers_leave_nothing() {
     let dir = tempfile::tempdir().unwrap();
     let jobs = open(dir.path()).await;
     let announced = Announced { size: 7, hash: String::new() };
-    let short = jobs.put_mesh(announced, bytes_of(&[b"123456"])).await;
+    let short = jobs.put_mesh(LOCAL, announced, bytes_of(&[b"123456"])).await;
     assert!(matches!(short, Err(Error::Corrupt { .. })));
     assert_eq!(fs::read_dir(dir.path().join("objects/meshes")).unwrap().count(), 0);
     assert_eq!(fs::read_dir(dir.path().join("objects/tmp")).unwrap().count(), 0);
@@ -429,7 +436,7 @@ impl Walk {
     }
 
     async fn check(&self) {
-        let listed = self.jobs.list(&[], None, 1000).await.unwrap();
+        let listed = self.jobs.list(None, &[], None, 1000).await.unwrap();
         assert_eq!(listed.len(), self.model.len());
         for job in listed {
             let appended = job.appended;
@@ -485,7 +492,7 @@ proptest! {
             }
             let (mut before, mut seen) = (None, Vec::new());
             for (size, n_inserted) in sizes.into_iter().cycle().take(40) {
-                let page = jobs.list(&[State::Queued], before, size).await.unwrap();
+                let page = jobs.list(None, &[State::Queued], before, size).await.unwrap();
                 before = page.last().map(|job| job.n).or(before);
                 seen.extend(page.into_iter().map(|job| job.id));
                 for _ in 0..n_inserted {

@@ -29,6 +29,7 @@ fn row(error: &Error) -> (Code, &'static str) {
         Error::Corrupt { .. } => (Code::DataLoss, "CORRUPT"),
         Error::TooLarge { .. } => (Code::ResourceExhausted, "TOO_LARGE"),
         Error::QueueFull(_) => (Code::ResourceExhausted, "QUEUE_FULL"),
+        Error::Quota { .. } => (Code::ResourceExhausted, "QUOTA"),
         Error::InUse(_) => (Code::FailedPrecondition, "IN_USE"),
         Error::Sql(_) | Error::Migrate(_) | Error::Stored { .. } => (Code::Internal, "DATABASE"),
         Error::Io { .. } => (Code::Internal, "STORAGE"),
@@ -47,10 +48,19 @@ pub fn status_of(error: &Error) -> Status {
         let faults = faults.iter().take(MAX_VIOLATIONS);
         details.set_bad_request(faults.map(violation).collect::<Vec<_>>());
     }
-    if let Error::QueueFull(_) = error {
+    if let Error::QueueFull(_) | Error::Quota { .. } = error {
         details.set_retry_info(Some(Duration::from_secs(5)));
     }
     Status::with_error_details(code, shorten(&error.to_string()), details)
+}
+
+/// A call that does not reach its handler.
+pub(super) fn refusal(code: Code, reason: &str, text: &str, retry: Option<Duration>) -> Status {
+    let mut details = ErrorDetails::with_error_info(reason, DOMAIN, HashMap::new());
+    if retry.is_some() {
+        details.set_retry_info(retry);
+    }
+    Status::with_error_details(code, text, details)
 }
 
 /// The server ends while a stream is open.

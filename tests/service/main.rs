@@ -10,6 +10,7 @@
 )]
 
 mod api;
+mod auth;
 mod bad_input;
 mod command_line;
 mod files;
@@ -18,5 +19,6 @@ mod optimize;
 mod panics;
 mod processes;
 mod support;
+mod tls;
 mod torture;
 mod workers;

@@ -5,8 +5,9 @@ use std::time::Duration;
 use sqlx::{QueryBuilder, Row, Sqlite, Transaction};
 
 use super::{Artifact, Job, State, Store, StoredEvent, event_of, find, job_of, log, now_ms};
-use super::{state_entry, stored};
+use super::{owners, state_entry, stored};
 use crate::jobs::{
+    Limits,
     error::{Error, Result},
     spec::Spec,
     state::Trigger,
@@ -15,7 +16,9 @@ use crate::jobs::{
 /// A job to be created. The caller has validated it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NewJob {
-    /// Names the request; empty for a request that may not be repeated.
+    /// Whose it will be.
+    pub owner: String,
+    /// Names the request among its owner's; empty for a request that may not be repeated.
     pub request_id: String,
     /// Hash of the input.
     pub mesh: String,
@@ -62,33 +65,26 @@ impl Store {
         Ok(hashes)
     }
 
-    /// Size in bytes of a stored mesh.
-    pub async fn mesh_size(&self, hash: &str) -> Result<Option<u64>> {
-        let query = sqlx::query_scalar::<_, i64>("SELECT size FROM meshes WHERE hash = ?");
-        let size = query.bind(hash).fetch_optional(&self.readers).await?;
-        Ok(size.map(|size| size as u64))
-    }
-
     /// Creates a job under `id`, unless its request already made one; says whether it is new.
-    pub async fn create(&self, id: &str, new: &NewJob, max_queued: u64) -> Result<(Job, bool)> {
+    pub async fn create(&self, id: &str, new: &NewJob, limits: &Limits) -> Result<(Job, bool)> {
         let mut tx = self.begin().await?;
-        let request_id = Some(&new.request_id).filter(|id| !id.is_empty());
-        let query = sqlx::query("SELECT * FROM jobs WHERE request_id = ?").bind(request_id);
-        if let Some(row) = query.fetch_optional(&mut *tx).await? {
-            return Ok((same_request(job_of(&row)?, new)?, false));
+        if let Some(job) = owners::requested(&mut tx, new).await? {
+            return Ok((same_request(job, new)?, false));
         }
+        owners::check_queue(&mut tx, &new.owner, limits.max_owner_queued).await?;
         let query =
             sqlx::query_scalar::<_, i64>("SELECT count(*) FROM jobs WHERE state = 'QUEUED'");
-        if query.fetch_one(&mut *tx).await? as u64 >= max_queued {
-            return Err(Error::QueueFull(max_queued));
+        if query.fetch_one(&mut *tx).await? as u64 >= limits.max_queued {
+            return Err(Error::QueueFull(limits.max_queued));
         }
         let now = now_ms(&mut tx).await?;
         let spec = serde_json::to_string(&new.spec).map_err(stored("the specification"))?;
-        let insert = "INSERT INTO jobs (id, request_id, mesh, file_name, spec, state, created_ms) \
+        let insert = "INSERT INTO jobs (id, owner, mesh, file_name, spec, state, created_ms) \
                       VALUES (?, ?, ?, ?, ?, ?, ?)";
-        let insert = sqlx::query(insert).bind(id).bind(request_id).bind(&new.mesh);
+        let insert = sqlx::query(insert).bind(id).bind(&new.owner).bind(&new.mesh);
         let insert = insert.bind(&new.file_name).bind(spec).bind(State::Queued.name()).bind(now);
         insert.execute(&mut *tx).await?;
+        owners::note_request(&mut tx, new, id).await?;
         let mut job = find(&mut tx, id).await?;
         let entry = state_entry(&job, "CREATED", "waiting for a worker".into());
         log(&mut tx, &mut job, now, &[entry]).await?;
@@ -101,15 +97,20 @@ impl Store {
         find(&mut *self.readers.acquire().await?, id).await
     }
 
-    /// Jobs in one of `states` (all when empty), newest first, older than the job numbered `before`.
+    /// Jobs of `owner` (everybody's where there is none) in one of `states` (all when empty), newest
+    /// first, older than the job numbered `before`.
     pub async fn list(
         &self,
+        owner: Option<&str>,
         states: &[State],
         before: Option<i64>,
         limit: u32,
     ) -> Result<Vec<Job>> {
         let mut query = QueryBuilder::<Sqlite>::new("SELECT * FROM jobs WHERE n < ");
         query.push_bind(before.unwrap_or(i64::MAX));
+        if let Some(owner) = owner {
+            query.push(" AND owner = ").push_bind(owner);
+        }
         if !states.is_empty() {
             query.push(" AND state IN (");
             let mut list = query.separated(", ");

@@ -1,4 +1,5 @@
-//! The job database: SQLite in one file, and all of its SQL (here, in `clients.rs` and `workers.rs`).
+//! The job database: SQLite in one file, and all of its SQL (here, in `clients.rs`, `owners.rs`
+//! and `workers.rs`).
 //!
 //! 1. A transaction that reads before it writes begins IMMEDIATE: a deferred one that upgrades is
 //!    refused with SQLITE_BUSY whatever the busy timeout.
@@ -10,6 +11,7 @@
 //! Knows nothing of the object directory, of notifications, or of who asks.
 
 mod clients;
+mod owners;
 mod workers;
 
 use std::{borrow::Cow, path::Path, time::Duration};
@@ -40,6 +42,8 @@ pub struct Job {
     pub n: i64,
     /// A UUID without hyphens.
     pub id: String,
+    /// Whose it is.
+    pub owner: String,
     /// Hash of the input.
     pub mesh: String,
     /// The input's file name; its extension gives the format.
@@ -153,7 +157,10 @@ impl Store {
 }
 
 fn migrations() -> Migrator {
-    let table = [(1, "jobs", include_str!("../migrations/0001_jobs.sql"))];
+    let table = [
+        (1, "jobs", include_str!("../migrations/0001_jobs.sql")),
+        (2, "owners", include_str!("../migrations/0002_owners.sql")),
+    ];
     let migration = |(version, name, sql): (i64, &'static str, &'static str)| {
         let sql = sqlx::SqlSafeStr::into_sql_str(sql);
         Migration::new(version, Cow::Borrowed(name), MigrationType::Simple, sql, false)
@@ -227,6 +234,7 @@ fn job_of(row: &SqliteRow) -> Result<Job> {
     let int = |column: &str| row.try_get::<i64, _>(column);
     Ok(Job {
         n: int("n")?,
+        owner: row.try_get("owner")?,
         mesh: row.try_get("mesh")?,
         file_name: row.try_get("file_name")?,
         spec: from_json(&id, row.try_get("spec")?)?,
