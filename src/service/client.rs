@@ -116,7 +116,10 @@ impl Access {
 /// socket that a server has for its own workers.
 pub fn endpoint(url: &str, access: &Access) -> Result<Endpoint, BadTarget> {
     let bad = || BadTarget::Url(url.escape_default().to_string());
-    let is_local = url.strip_prefix("unix:").is_some_and(|path| !path.is_empty());
+    let is_local = url.starts_with("unix:");
+    if url == "unix:" {
+        return Err(bad());
+    }
     let mut endpoint = Endpoint::from_shared(url.to_owned()).map_err(|_| bad())?;
     let scheme = endpoint.uri().scheme_str().map(str::to_owned);
     match scheme.as_deref() {
