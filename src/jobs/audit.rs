@@ -1,7 +1,7 @@
 //! Who did what: calls that change something, and calls that were refused.
 //!
-//! An entry is written when the call has been answered. Reports of workers on a job at work are not
-//! among them: the job's own log tells of those.
+//! An entry is written when the call has been answered. Claims, and what workers report
+//! of a job at work, are not among them: the job's own log tells of those.
 
 use super::{Jobs, error::Result};
 

@@ -42,7 +42,6 @@ impl worker::worker_service_server::WorkerService for WorkerApi {
         &self,
         request: Request<worker::ClaimRequest>,
     ) -> Result<Response<worker::ClaimResponse>, Status> {
-        let call = call_of(&request)?;
         let request = request.into_inner();
         check_worker(&request)?;
         let wait = Duration::try_from_secs_f64(request.wait_secs).unwrap_or_default().min(MAX_WAIT);
@@ -53,7 +52,6 @@ impl worker::worker_service_server::WorkerService for WorkerApi {
         };
         if let Some(job) = &claimed {
             let (attempt, epoch) = (job.attempt, job.epoch);
-            call.is_about(job.name());
             tracing::info!(job = job.id, worker = request.worker, attempt, epoch, "claimed");
             self.observer.claimed();
         }

@@ -139,12 +139,7 @@ impl GateLayer {
     /// Writes about an answered call what its row of the table says.
     async fn answered(&self, method: &Method, call: &Call, peer: &Peer, path: &str, code: Code) {
         let resource = call.resource.get().map_or("", String::as_str);
-        let is_noted = match method.audit {
-            Audit::No => false,
-            Audit::Yes => true,
-            Audit::Named => !resource.is_empty() || code != Code::Ok,
-        };
-        if is_noted {
+        if method.audit == Audit::Yes {
             self.note(Some(&call.who), peer, path, resource, code).await;
         }
     }

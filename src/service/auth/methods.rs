@@ -18,10 +18,8 @@ pub(super) enum Need {
 pub(super) enum Audit {
     /// Nothing: it changes nothing, or a job's own log tells of it.
     No,
-    /// An entry, always.
+    /// An entry.
     Yes,
-    /// An entry where there was something to do: a claim that got a job.
-    Named,
 }
 
 /// What a method asks.
@@ -56,11 +54,11 @@ const METHODS: &[Method] = &[
     row("/lookalike.v1.LookalikeService/DeleteJob",         WRITE, Audit::Yes,   false),
     row("/lookalike.v1.LookalikeService/ListArtifacts",     READ,  Audit::No,    false),
     row("/lookalike.v1.LookalikeService/ReadArtifact",      READ,  Audit::No,    true),
-    row("/lookalike.worker.v1.WorkerService/Claim",         WORK,  Audit::Named, false),
+    row("/lookalike.worker.v1.WorkerService/Claim",         WORK,  Audit::No,    false),
     row("/lookalike.worker.v1.WorkerService/Heartbeat",     WORK,  Audit::No,    false),
     row("/lookalike.worker.v1.WorkerService/FetchMesh",     WORK,  Audit::No,    false),
     row("/lookalike.worker.v1.WorkerService/AppendEvents",  WORK,  Audit::No,    false),
-    row("/lookalike.worker.v1.WorkerService/PutArtifact",   WORK,  Audit::Yes,   false),
+    row("/lookalike.worker.v1.WorkerService/PutArtifact",   WORK,  Audit::No,    false),
     row("/lookalike.worker.v1.WorkerService/Complete",      WORK,  Audit::Yes,   false),
     row("/grpc.health.v1.Health/Check",                     Need::Nothing, Audit::No, false),
     row("/grpc.health.v1.Health/Watch",                     Need::Nothing, Audit::No, false),
