@@ -3,7 +3,7 @@
 #     docker build -t lookalike .
 #     docker run --rm --network host -v lookalike:/var/lib/lookalike lookalike
 #
-# The server refuses any address but loopback until it has access control, and the loopback of a container
+# The server refuses any address but loopback without TLS and authentication, and the loopback of a container
 # is its own: publishing ports (`-p 7420:7420`) reaches nothing. It is reached
 #   - from the host, with `--network host` as above: the container then shares the host's loopback;
 #   - from a container that shares its network (`--network container:NAME`), such as a proxy that

@@ -7,13 +7,18 @@ use std::{
     time::Duration,
 };
 
+mod guard;
+
 use clap::Args;
 use lookalike::jobs::{Limits, Places, blobs::BucketName, lease::Terms, store::Address};
+
+pub(crate) use self::guard::Port;
+use self::guard::{Guard, GuardArgs};
 
 /// Flags of `lookalike serve`. Each can also be given as an environment variable.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct ServeArgs {
-    /// Where to listen for gRPC: a loopback address and a port.
+    /// Where to listen for gRPC: an address and a port.
     #[arg(long, env = "LOOKALIKE_LISTEN", default_value = "127.0.0.1:7420")]
     pub(crate) listen: SocketAddr,
     /// Where jobs, meshes and results are kept.
@@ -42,6 +47,18 @@ pub(crate) struct ServeArgs {
     /// Jobs that may wait at once.
     #[arg(long, env = "LOOKALIKE_MAX_QUEUED", default_value_t = 100_000, value_name = "N")]
     pub(crate) max_queued: u64,
+    /// Jobs of one owner that may wait at once.
+    #[arg(long, env = "LOOKALIKE_MAX_OWNER_QUEUED", default_value_t = 100_000, value_name = "N")]
+    pub(crate) max_owner_queued: u64,
+    /// Meshes and results of one owner together, in MiB; 0 for no limit.
+    #[arg(long, env = "LOOKALIKE_MAX_OWNER_MIB", default_value_t = 0, value_name = "MIB")]
+    pub(crate) max_owner_mib: u64,
+    /// Memory of each local worker, in MiB; one that needs more is ended. 0 for no limit.
+    #[arg(long, env = "LOOKALIKE_WORKER_MEMORY_MIB", default_value_t = 16_384, value_name = "MIB")]
+    pub(crate) worker_memory_mib: u64,
+    /// Processor time of a job on a local worker, all threads together; 0 for no limit.
+    #[arg(long, env = "LOOKALIKE_WORKER_CPU_SECS", default_value_t = 864_000, value_name = "SECS")]
+    pub(crate) worker_cpu_secs: u64,
     /// Largest mesh file, in MiB.
     #[arg(long, env = "LOOKALIKE_MAX_MESH_MIB", default_value_t = 4096, value_name = "MIB")]
     pub(crate) max_mesh_mib: u64,
@@ -54,6 +71,8 @@ pub(crate) struct ServeArgs {
     /// Log in JSON, one object a line.
     #[arg(long, env = "LOOKALIKE_LOG_JSON")]
     pub(crate) log_json: bool,
+    #[command(flatten)]
+    pub(crate) guard: GuardArgs,
 }
 
 /// Where jobs and bytes are kept when not in the data directory.
@@ -98,6 +117,9 @@ pub(crate) struct ServeConfig {
     pub(crate) device: String,
     pub(crate) terms: Terms,
     pub(crate) limits: Limits,
+    pub(crate) guard: Guard,
+    pub(crate) worker_memory_mib: u64,
+    pub(crate) worker_cpu_secs: u64,
     pub(crate) drain: Duration,
     pub(crate) log_json: bool,
 }
@@ -108,16 +130,7 @@ impl ServeArgs {
     /// The configuration, or everything that is wrong with it.
     pub(crate) fn check(self) -> Result<ServeConfig, Vec<String>> {
         let mut faults = Vec::new();
-        for (flag, address) in
-            [("--listen", self.listen), ("--metrics-listen", self.metrics_listen)]
-        {
-            if !address.ip().is_loopback() {
-                faults.push(format!(
-                    "{flag} {address} can be reached from other machines, and access control is not \
-                     built yet: use 127.0.0.1, and an SSH tunnel or an authenticating proxy from afar"
-                ));
-            }
-        }
+        let guard = self.guard.check(self.listen, self.metrics_listen, &mut faults);
         if self.workers > MAX_WORKERS {
             faults.push(format!("--workers {}: use 0 to {MAX_WORKERS}", self.workers));
         }
@@ -145,13 +158,23 @@ impl ServeArgs {
             limits: Limits {
                 max_mesh_bytes: self.max_mesh_mib.saturating_mul(1 << 20),
                 max_queued: self.max_queued,
+                max_owner_queued: self.max_owner_queued,
+                max_owner_bytes: most_bytes(self.max_owner_mib),
                 keep_meshes: Duration::from_hours(self.keep_meshes_hours.into()),
                 ..Limits::default()
             },
+            guard,
+            worker_memory_mib: self.worker_memory_mib,
+            worker_cpu_secs: self.worker_cpu_secs,
             drain,
             log_json: self.log_json,
         })
     }
+}
+
+/// 0 MiB is no limit.
+fn most_bytes(mib: u64) -> u64 {
+    if mib == 0 { u64::MAX } else { mib.saturating_mul(1 << 20) }
 }
 
 fn seconds(faults: &mut Vec<String>, flag: &str, secs: f64) -> Duration {
@@ -200,6 +223,33 @@ mod tests {
         let faults = faults.unwrap_err();
         assert_eq!(faults.len(), 8, "{faults:#?}");
         assert!(!faults.concat().contains("secret"), "{faults:#?}");
-        assert!(faults[0].contains("access control is not built yet"));
+        assert!(faults[0].contains("give --tls-cert, --tls-key and --tokens"));
+    }
+
+    #[test]
+    fn only_guarded_ports_are_open_to_others() {
+        let tls = ["--tls-cert=c", "--tls-key=k"];
+        let jwt = ["--jwks=j", "--jwt-issuer=i", "--jwt-audience=a"];
+        let (open, metrics) = (["--listen=0.0.0.0:1"], ["--metrics-listen=0.0.0.0:2"]);
+        let table: [(&[&[&str]], &[&str]); 10] = [
+            (&[&open, &tls, &["--tokens=t"]], &[]),
+            (&[&open, &tls, &jwt], &[]),
+            (&[&open, &tls], &["without TLS and authentication"]),
+            (&[&open, &["--tokens=t"]], &["without TLS and authentication"]),
+            (&[&open, &["--insecure-listen=grpc"]], &[]),
+            (&[&metrics, &tls, &["--tokens=t"]], &["--insecure-listen metrics"]),
+            (&[&metrics, &["--insecure-listen=metrics"]], &[]),
+            (&[&["--tls-cert=c"]], &["a certificate and its key"]),
+            (&[&["--jwks=j"]], &["--jwt-issuer and --jwt-audience"]),
+            (&[&tls, &["--tls-client-ca=a"]], &["--tokens FILE"]),
+        ];
+        for (flags, wanted) in table {
+            let flags = flags.concat();
+            let faults = check(&flags).err().unwrap_or_default();
+            assert_eq!(faults.len(), wanted.len(), "{flags:?}: {faults:?}");
+            for (fault, wanted) in faults.iter().zip(wanted) {
+                assert!(fault.contains(wanted), "{flags:?}: {fault}");
+            }
+        }
     }
 }

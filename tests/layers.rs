@@ -46,7 +46,7 @@ const MAY_IMPORT: [(&str, &[&str]); 18] = [
     ),
     ("service", &["jobs"]),
     ("telemetry", &[]),
-    ("config", &["jobs"]),
+    ("config", &["jobs", "service"]),
     (
         "cli",
         &[
@@ -72,7 +72,7 @@ const MAY_IMPORT: [(&str, &[&str]); 18] = [
 
 /// External crate → the only modules that may name it. Wire stubs live in `service`; the worker
 /// speaks to a server through them, and the command line is a client.
-const SOLE_OWNERS: [(&str, &[&str]); 15] = [
+const SOLE_OWNERS: [(&str, &[&str]); 20] = [
     ("basisu", &["io"]),
     ("draco_core", &["io"]),
     ("gltf", &["io"]),
@@ -88,6 +88,11 @@ const SOLE_OWNERS: [(&str, &[&str]); 15] = [
     ("axum", &["telemetry"]),
     ("tonic", &["service", "worker", "cli"]),
     ("prost", &["service", "worker", "cli"]),
+    ("tokio_rustls", &["service"]),
+    ("jsonwebtoken", &["service"]),
+    ("governor", &["service"]),
+    ("toml", &["service", "config"]),
+    ("seccompiler", &["worker"]),
 ];
 
 fn sources(dir: &Path, out: &mut Vec<PathBuf>) {

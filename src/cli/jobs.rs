@@ -20,6 +20,9 @@ pub(crate) struct JobsArgs {
     /// Only jobs in these states, separated by commas.
     #[arg(long, value_delimiter = ',', value_name = "STATE")]
     state: Vec<State>,
+    /// Only this owner's jobs (administrators; others see their own).
+    #[arg(long, value_name = "OWNER", default_value = "", hide_default_value = true)]
+    owner: String,
     /// At most this many, newest first.
     #[arg(long, default_value_t = 1000, value_name = "N")]
     limit: usize,
@@ -54,7 +57,8 @@ pub(crate) struct DeleteArgs {
 pub(crate) async fn list(args: JobsArgs) -> Result<(), Failure> {
     let remote = Remote::connect(&args.server).await?;
     let states = args.state.iter().map(|state| convert::state_to_wire(*state).into()).collect();
-    let mut request = v1::ListJobsRequest { page_size: 100, page_token: String::new(), states };
+    let (page_token, owner) = (String::new(), args.owner);
+    let mut request = v1::ListJobsRequest { page_size: 100, page_token, states, owner };
     let mut left = args.limit;
     loop {
         let page = remote.call(|mut client| {

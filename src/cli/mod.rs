@@ -22,6 +22,7 @@ mod serve;
 mod show;
 mod signals;
 mod submit;
+mod token;
 mod watch;
 mod worker;
 
@@ -43,7 +44,7 @@ struct Cli {
 #[derive(Subcommand, Debug)]
 enum Command {
     /// Run a server, with its own workers.
-    Serve(crate::config::ServeArgs),
+    Serve(Box<crate::config::ServeArgs>),
     /// Run a worker for a server.
     Worker(worker::WorkerArgs),
     /// Simplify a file on a server: upload, wait, fetch the result.
@@ -68,6 +69,8 @@ enum Command {
     Extract(extract::ExtractArgs),
     /// Write a sample model to try things on.
     Sample(sample::SampleArgs),
+    /// Make a token for a server that asks who calls.
+    Token(token::TokenArgs),
     /// Find out what is wrong with this machine or server, and how to mend it.
     Doctor(doctor::DoctorArgs),
     /// Print a completion script for a shell.
@@ -99,7 +102,7 @@ fn init_logs(command: &Command) {
 
 async fn dispatch(command: Command) -> Result<(), Failure> {
     match command {
-        Command::Serve(args) => serve::run(args).await,
+        Command::Serve(args) => serve::run(*args).await,
         Command::Worker(args) => worker::run(args).await,
         Command::Submit(args) => submit::run(args).await,
         Command::Watch(args) => watch::run(args).await,
@@ -112,6 +115,7 @@ async fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Compare(args) => compare::run(&args),
         Command::Extract(args) => extract::run(&args),
         Command::Sample(args) => sample::run(&args),
+        Command::Token(args) => token::run(&args),
         Command::Doctor(args) => doctor::run(args).await,
         Command::Completions { shell } => {
             let mut out = Vec::new();

@@ -1,13 +1,17 @@
 //! A server seen from a command: calls that survive its restart.
 
-use std::{path::Path, time::Duration};
+use std::{
+    path::{Path, PathBuf},
+    time::Duration,
+};
 
 use clap::Args;
 use futures::stream;
 use lookalike::{
     jobs::event::Event,
     service::{
-        client::{Backoff, connect, endpoint, is_transient},
+        auth::Secret,
+        client::{Access, Backoff, BadTarget, Connection, connect, endpoint, is_transient},
         convert,
         proto::v1::{self, lookalike_service_client::LookalikeServiceClient},
         server::MAX_MESSAGE_BYTES,
@@ -15,11 +19,11 @@ use lookalike::{
 };
 use prost::bytes::Bytes;
 use tokio::{io::AsyncWriteExt, time::Instant};
-use tonic::{Response, Status, transport::Channel};
+use tonic::{Response, Status};
 
 use super::exit::{Exit, Failure, refused, unreachable};
 
-type Client = LookalikeServiceClient<Channel>;
+type Client = LookalikeServiceClient<Connection>;
 
 /// A server that restarts is waited for this long.
 const PATIENCE: Duration = Duration::from_mins(1);
@@ -37,6 +41,33 @@ pub(crate) struct ServerArgs {
         value_name = "URL"
     )]
     server: String,
+    #[command(flatten)]
+    access: AccessArgs,
+}
+
+/// What a server asks of its callers.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct AccessArgs {
+    /// Says who calls. Better given by the environment: others can read command lines.
+    #[arg(long, env = "LOOKALIKE_TOKEN", hide_env_values = true, value_name = "TOKEN")]
+    token: Option<Secret>,
+    /// The authority of the server's certificate, in PEM. Default: those that the system trusts.
+    #[arg(long, env = "LOOKALIKE_CA", value_name = "FILE")]
+    ca: Option<PathBuf>,
+    /// This client's own certificate, in PEM.
+    #[arg(long, env = "LOOKALIKE_CLIENT_CERT", value_name = "FILE")]
+    tls_cert: Option<PathBuf>,
+    /// Its private key, in PEM.
+    #[arg(long, env = "LOOKALIKE_CLIENT_KEY", value_name = "FILE")]
+    tls_key: Option<PathBuf>,
+}
+
+impl AccessArgs {
+    /// The same for a connection.
+    pub(crate) fn access(&self) -> Access {
+        let Self { token, ca, tls_cert: cert, tls_key: key } = self.clone();
+        Access { token, ca, cert, key }
+    }
 }
 
 /// A server that answered once.
@@ -50,8 +81,10 @@ impl Remote {
     /// Connects now, so that a missing server is noticed before anything else is done.
     pub(crate) async fn connect(args: &ServerArgs) -> Result<Self, Failure> {
         let url = args.server.clone();
-        let endpoint = endpoint(&url).map_err(|bad| Failure::new(Exit::Usage, bad.to_string()))?;
-        let channel = connect(endpoint).await.map_err(|error| {
+        let usage = |bad: BadTarget| Failure::new(Exit::Usage, bad.to_string());
+        let access = args.access.access();
+        let endpoint = endpoint(&url, &access).map_err(usage)?;
+        let channel = connect(endpoint, &access).map_err(usage)?.await.map_err(|error| {
             let cause = std::error::Error::source(&error).map(ToString::to_string);
             unreachable(&url, &cause.unwrap_or_else(|| error.to_string()))
         })?;

@@ -8,7 +8,13 @@ use std::{sync::Arc, time::Duration};
 use anyhow::Context;
 use lookalike::{
     jobs::Jobs,
-    service::{observe::Observer, server},
+    service::{
+        accept::{self, Listeners},
+        auth::Gate,
+        observe::Observer,
+        server,
+        tls::ServerTls,
+    },
     telemetry,
     worker::supervisor::Crew,
 };
@@ -18,7 +24,7 @@ use super::{
     exit::{Exit, Failure},
     show, signals,
 };
-use crate::config::{ServeArgs, ServeConfig};
+use crate::config::{Port, ServeArgs, ServeConfig};
 
 /// Leases are looked at this often, or four times a lease if that is more often.
 const SWEEP: Duration = Duration::from_secs(1);
@@ -27,22 +33,30 @@ const GRACE: Duration = Duration::from_secs(3);
 
 pub(crate) async fn run(args: ServeArgs) -> Result<(), Failure> {
     let config = args.check().map_err(|faults| Failure::faults(&faults))?;
+    let usage = |fault| Failure::new(Exit::Usage, fault);
+    let gate = Gate::open(&config.guard.credentials, config.guard.rates.clone()).map_err(usage)?;
+    let tls = config.guard.tls.as_ref().map(ServerTls::open).transpose().map_err(usage)?;
     let page = telemetry::install_metrics().context("metrics cannot be collected")?;
     let jobs = Jobs::open(config.places.clone(), config.terms.clone(), config.limits.clone());
     let jobs = jobs.await.map_err(|error| Failure::new(Exit::Failed, error.to_string()))?;
-    let listener = telemetry::bind("--listen", config.listen).await.context("gRPC")?;
+    let tcp = telemetry::bind("--listen", config.listen).await.context("gRPC")?;
+    let unix = accept::bind_unix(&jobs.workers_dir()).context("the socket of local workers")?;
     let metrics =
         telemetry::bind("--metrics-listen", config.metrics_listen).await.context("metrics")?;
-    let address = listener.local_addr().context("gRPC")?;
-    show::print(&format!("listening on http://{address}\n"));
+    let address = tcp.local_addr().context("gRPC")?;
+    let scheme = if tls.is_some() { "https" } else { "http" };
+    show::print(&format!("listening on {scheme}://{address}\n"));
+    warn_of(&config.guard.exposed);
+    let listeners = Listeners { tcp, tls, unix };
     tracing::info!(%address, metrics = %config.metrics_listen, data_dir = %config.places.data_dir.display(), "ready");
 
     let observer = Arc::new(Observer::new());
     let (stop_workers, stop_serving) = (CancellationToken::new(), CancellationToken::new());
     let refresh = refresh(jobs.clone(), Arc::clone(&observer));
-    let grpc = server::serve(listener, jobs.clone(), Arc::clone(&observer), stop_serving.clone());
+    let observing = Arc::clone(&observer);
+    let grpc = server::serve(listeners, gate, jobs.clone(), observing, stop_serving.clone());
     let http = telemetry::serve_metrics(metrics, page, refresh, stop_serving.clone());
-    let crew = crew(&config, &format!("http://{address}"));
+    let crew = crew(&config);
     let workers = async {
         crew.run(stop_workers.clone(), async |id: String| gone(&jobs, &observer, &id).await).await;
         // A server without workers of its own has nobody to wait for.
@@ -67,6 +81,16 @@ pub(crate) async fn run(args: ServeArgs) -> Result<(), Failure> {
     jobs.close().await;
     tracing::info!("ended");
     Ok(())
+}
+
+/// Says which ports anybody can reach.
+fn warn_of(exposed: &[Port]) {
+    for port in exposed {
+        tracing::warn!(
+            ?port,
+            "--insecure-listen: this port has no TLS or no authentication, and anybody who reaches it is let in"
+        );
+    }
 }
 
 /// Waits for a signal, starts the end, and returns when the end takes too long: the workers have
@@ -124,12 +148,13 @@ fn refresh(jobs: Jobs, observer: Arc<Observer>) -> telemetry::Refresh {
     })
 }
 
-fn crew(config: &ServeConfig, url: &str) -> Crew {
+fn crew(config: &ServeConfig) -> Crew {
     // Children are started in whatever folder; their paths must not depend on it.
     let data_dir = std::path::absolute(&config.places.data_dir)
         .unwrap_or_else(|_| config.places.data_dir.clone());
     Crew {
-        url: url.into(),
+        memory_mib: config.worker_memory_mib,
+        cpu_secs: config.worker_cpu_secs,
         device: config.device.clone(),
         n_workers: config.n_workers,
         locks: data_dir.join("workers"),

@@ -28,6 +28,7 @@ pub(crate) fn job_json(job: v1::Job) -> Value {
     let time = |time: Option<&prost_types::Timestamp>| time.map(convert::time_from_wire);
     json!({
         "name": job.name,
+        "owner": job.owner,
         "mesh": job.mesh,
         "file_name": job.file_name,
         "state": state,

@@ -5,19 +5,21 @@ use std::{path::PathBuf, time::Duration};
 use clap::Args;
 use lookalike::worker::{
     agent::{self, WorkerConfig, WorkerError},
+    confine,
     pipeline::{self, DeviceChoice},
 };
 use tokio_util::sync::CancellationToken;
 
 use super::{
     exit::{Exit, Failure},
+    remote::AccessArgs,
     signals,
 };
 
 /// Flags of `lookalike worker`.
 #[derive(Args, Debug)]
 pub(crate) struct WorkerArgs {
-    /// The server's URL.
+    /// The server's URL, or unix:PATH for its socket.
     #[arg(
         long,
         env = "LOOKALIKE_SERVER",
@@ -43,6 +45,14 @@ pub(crate) struct WorkerArgs {
     /// End when the server does not answer for so many seconds.
     #[arg(long, default_value_t = 60, value_name = "SECS")]
     give_up_secs: u64,
+    /// Memory of this process, in MiB; it ends when it needs more. 0 for no limit.
+    #[arg(long, default_value_t = 0, value_name = "MIB")]
+    memory_mib: u64,
+    /// Processor time of a job, all threads together; 0 for no limit.
+    #[arg(long, default_value_t = 0, value_name = "SECS")]
+    cpu_secs: u64,
+    #[command(flatten)]
+    access: AccessArgs,
     /// Log in JSON, one object a line.
     #[arg(long)]
     pub(crate) log_json: bool,
@@ -52,8 +62,13 @@ pub(crate) async fn run(args: WorkerArgs) -> Result<(), Failure> {
     let id = args.id.unwrap_or_else(|| format!("remote-{}", uuid::Uuid::new_v4().simple()));
     let scratch =
         args.scratch.unwrap_or_else(|| std::env::temp_dir().join(format!("lookalike-{id}")));
+    confine::limit_resources(args.memory_mib);
+    if args.connect.starts_with("unix:") {
+        confine::leave_the_network();
+    }
     let config = WorkerConfig {
         url: args.connect,
+        access: args.access.access(),
         id,
         device: DeviceChoice(args.device),
         pipeline: pipeline::run,
@@ -61,6 +76,7 @@ pub(crate) async fn run(args: WorkerArgs) -> Result<(), Failure> {
         lock: args.lock,
         supervised: args.supervised,
         give_up: Duration::from_secs(args.give_up_secs),
+        cpu_secs: args.cpu_secs,
     };
     let drain = CancellationToken::new();
     let mut agent = agent::run(config, drain.clone());

@@ -47,27 +47,28 @@ impl Announced {
 }
 
 impl Jobs {
-    /// A mesh that is stored already.
-    pub async fn find_mesh(&self, hash: &str) -> Result<Option<StoredMesh>> {
+    /// A mesh that is stored already, and that `owner` has uploaded.
+    pub async fn find_mesh(&self, owner: &str, hash: &str) -> Result<Option<StoredMesh>> {
         if !is_hash(hash) {
             return Ok(None);
         }
-        let size = self.0.store.mesh_size(hash).await?;
+        let size = self.0.store.owned_mesh_size(owner, hash).await?;
         Ok(size.map(|size| StoredMesh { hash: hash.into(), size, existed: true }))
     }
 
     /// [`Self::find_mesh`] for a client that means to use it: it counts as uploaded now.
-    pub async fn reuse_mesh(&self, hash: &str) -> Result<Option<StoredMesh>> {
-        let known = self.find_mesh(hash).await?;
+    pub async fn reuse_mesh(&self, owner: &str, hash: &str) -> Result<Option<StoredMesh>> {
+        let known = self.find_mesh(owner, hash).await?;
         if known.is_some() {
             self.0.store.touch_mesh(hash).await?;
         }
         Ok(known)
     }
 
-    /// Stores the bytes that arrive on `chunks` until it closes.
+    /// Stores the bytes that arrive on `chunks` until it closes, for `owner`.
     pub async fn put_mesh(
         &self,
+        owner: &str,
         announced: Announced,
         chunks: mpsc::Receiver<Bytes>,
     ) -> Result<StoredMesh> {
@@ -82,7 +83,10 @@ impl Jobs {
             let fault = "it was swept away on its way in".into();
             return Err(Error::Corrupt { what: "the mesh".into(), fault });
         }
-        let existed = !lock.add(size).await?;
+        lock.add(size).await?;
+        // That somebody else has the same bytes is nobody's business.
+        let limit = self.0.limits.max_owner_bytes;
+        let existed = !self.0.store.own_mesh(owner, &hash, size, limit).await?;
         Ok(StoredMesh { hash, size, existed })
     }
 
@@ -94,7 +98,7 @@ impl Jobs {
             return Err(Error::Invalid(faults));
         }
         let id = uuid::Uuid::now_v7().simple().to_string();
-        let (job, is_new) = self.0.store.create(&id, &new, self.0.limits.max_queued).await?;
+        let (job, is_new) = self.0.store.create(&id, &new, &self.0.limits).await?;
         if is_new {
             self.0.signals.queue_grew();
         }
@@ -113,7 +117,7 @@ impl Jobs {
             if !is_hash(mesh) {
                 let text = "use the name that UploadMesh returned, `meshes/{hash}`";
                 fault(&format!("{prefix}mesh"), text.into());
-            } else if self.find_mesh(mesh).await?.is_none() {
+            } else if self.find_mesh(&new.owner, mesh).await?.is_none() {
                 let text = format!("meshes/{mesh} is not stored: upload it first");
                 fault(&format!("{prefix}mesh"), text);
             }
@@ -139,14 +143,16 @@ impl Jobs {
         self.0.store.job(id).await
     }
 
-    /// Jobs in one of `states` (all when empty), newest first, older than the job numbered `before`.
+    /// Jobs of `owner` (everybody's where there is none) in one of `states` (all when empty), newest
+    /// first, older than the job numbered `before`.
     pub async fn list(
         &self,
+        owner: Option<&str>,
         states: &[State],
         before: Option<i64>,
         limit: u32,
     ) -> Result<Vec<Job>> {
-        self.0.store.list(states, before, limit).await
+        self.0.store.list(owner, states, before, limit).await
     }
 
     /// Cancels a queued job, or asks the worker of a running one to stop; says whether this call
@@ -204,6 +210,7 @@ mod tests {
     use crate::jobs::{
         Limits,
         lease::Terms,
+        principal::LOCAL,
         spec::{Input, Spec},
     };
 
@@ -228,29 +235,30 @@ mod tests {
             let (send, chunks) = mpsc::channel(1);
             send.try_send(Bytes::from_static(bytes)).unwrap();
             drop(send);
-            jobs.put_mesh(Announced::default(), chunks).await.unwrap().hash
+            jobs.put_mesh(LOCAL, Announced::default(), chunks).await.unwrap().hash
         };
         let jobs = open(Duration::from_hours(1)).await;
         let (used, unused) = (put(&jobs, b"used").await, put(&jobs, b"unused").await);
         let crude = put(&jobs, b"simplified").await;
         let input = Input { mesh: crude.clone(), file_name: "crude.ply".into() };
         let (file_name, spec) = ("a.ply".into(), Spec::optimizing(input));
-        let new = NewJob { request_id: String::new(), mesh: used.clone(), file_name, spec };
+        let (owner, request_id) = (LOCAL.into(), String::new());
+        let new = NewJob { owner, request_id, mesh: used.clone(), file_name, spec };
         jobs.create(new, vec![]).await.unwrap();
         jobs.close().await;
         drop(jobs);
         // Young as it is, it stays.
         let jobs = open(Duration::from_hours(1)).await;
-        assert!(jobs.reuse_mesh(&unused).await.unwrap().is_some());
+        assert!(jobs.reuse_mesh(LOCAL, &unused).await.unwrap().is_some());
         assert!(jobs.0.blobs.has_mesh(&unused).await.unwrap());
         jobs.close().await;
         drop(jobs);
         // At an age of nothing only what a job names does.
         let jobs = open(Duration::ZERO).await;
-        assert!(jobs.find_mesh(&unused).await.unwrap().is_none());
+        assert!(jobs.find_mesh(LOCAL, &unused).await.unwrap().is_none());
         assert!(!jobs.0.blobs.has_mesh(&unused).await.unwrap());
         for named in [used, crude] {
-            assert!(jobs.find_mesh(&named).await.unwrap().is_some());
+            assert!(jobs.find_mesh(LOCAL, &named).await.unwrap().is_some());
             assert!(jobs.0.blobs.has_mesh(&named).await.unwrap());
         }
     }

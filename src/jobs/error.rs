@@ -63,6 +63,14 @@ pub enum Error {
     /// The queue is full.
     #[error("the queue holds {0} jobs, which is its limit: try again later")]
     QueueFull(u64),
+    /// An owner has as much as it may have.
+    #[error("{}", quota.text(*limit))]
+    Quota {
+        /// Of what.
+        quota: Quota,
+        /// How much it may have.
+        limit: u64,
+    },
     /// Another server owns the data directory.
     #[error(
         "{} is in use by another server: stop that one, or choose another --data-dir",
@@ -113,6 +121,29 @@ pub enum Error {
     /// A background task died.
     #[error("a background task ended early: {0}")]
     Task(#[from] tokio::task::JoinError),
+}
+
+/// What an owner may have only so much of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Quota {
+    /// Jobs that wait.
+    Queued,
+    /// Bytes of meshes and results.
+    Bytes,
+}
+
+impl Quota {
+    fn text(self, limit: u64) -> String {
+        match self {
+            Self::Queued => format!(
+                "this owner has {limit} jobs waiting, which is its limit: try again later, or cancel some"
+            ),
+            Self::Bytes => format!(
+                "the meshes and results of this owner may be {limit} bytes together, and would be \
+                 more: delete jobs"
+            ),
+        }
+    }
 }
 
 /// What a database says when it may answer later: SQLSTATE, or SQLite's code for a busy database.

@@ -7,22 +7,26 @@
 //! DIR/lock           held by the server that owns the directory
 //! DIR/jobs.sqlite3   jobs, leases, event log, manifests (store/), unless they are in PostgreSQL
 //! DIR/objects/       meshes, record segments, artifacts (blobs/), or what is on its way to a bucket
-//! DIR/workers/       one lock file for each local worker, held while it lives
+//! DIR/workers/       one lock file for each local worker, held while it lives; the server's socket
 //! ```
 //!
 //! 1. What a call returned `Ok` for survives the death of every process.
 //! 2. Bytes are in place before the row that tells of them.
 //! 3. Every write of a worker is conditional on its lease.
 //!
-//! `clients.rs`, `attempts.rs` and `follow.rs` hold what clients, workers and watchers ask for.
+//! `clients.rs`, `attempts.rs` and `follow.rs` hold what clients, workers and watchers ask for;
+//! `owners.rs` what of that a principal may see.
 
+pub mod audit;
 pub mod blobs;
 pub mod clients;
 pub mod error;
 pub mod event;
 pub mod follow;
 pub mod lease;
+pub mod owners;
 pub mod places;
+pub mod principal;
 pub mod segment;
 pub mod signals;
 pub mod spec;
@@ -59,8 +63,14 @@ pub struct Limits {
     pub max_artifact_bytes: u64,
     /// Jobs that may wait at once.
     pub max_queued: u64,
+    /// Jobs of one owner that may wait at once.
+    pub max_owner_queued: u64,
+    /// Bytes of an owner's meshes and results together.
+    pub max_owner_bytes: u64,
     /// Meshes that no job names are removed at a start when nobody asked for them in so long.
     pub keep_meshes: Duration,
+    /// Entries of the audit table are removed at a start when they are older.
+    pub keep_audit: Duration,
 }
 
 impl Default for Limits {
@@ -69,7 +79,10 @@ impl Default for Limits {
             max_mesh_bytes: 4 << 30,
             max_artifact_bytes: 4 << 30,
             max_queued: 100_000,
+            max_owner_queued: 100_000,
+            max_owner_bytes: u64::MAX,
             keep_meshes: Duration::from_hours(7 * 24),
+            keep_audit: Duration::from_hours(366 * 24),
         }
     }
 }
@@ -167,6 +180,11 @@ impl Jobs {
         self.lose_worker(worker, Loss::WorkerExited).await
     }
 
+    /// The folder of local workers: their lock files, and the server's socket for them.
+    pub fn workers_dir(&self) -> PathBuf {
+        self.0.workers.clone()
+    }
+
     /// The file that a local worker locks as long as it lives.
     pub fn worker_lock(&self, worker: &str) -> PathBuf {
         self.0.workers.join(format!("{worker}.lock"))
@@ -194,6 +212,7 @@ impl Jobs {
     /// be at work: a job has its row before it has objects, and meshes without a row are left alone
     /// while they may be on their way to one.
     async fn sweep_orphans(&self) -> Result<()> {
+        self.0.store.forget_audit(self.0.limits.keep_audit).await?;
         let mut unknown = self.0.store.forget_meshes(self.0.limits.keep_meshes).await?;
         let old = SystemTime::now() - ORPHANS_STAY;
         let meshes = self.0.blobs.meshes().await?.into_iter();

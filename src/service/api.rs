@@ -8,7 +8,9 @@ use prost::bytes::Bytes;
 use tokio_util::sync::CancellationToken;
 use tonic::{Request, Response, Status, Streaming};
 
-use super::{convert, observe::Observer, proto::v1, status, status::status_of, transfer};
+use super::{
+    auth::call_of, convert, observe::Observer, proto::v1, status, status::status_of, transfer,
+};
 use crate::jobs::{
     Jobs,
     clients::{Announced, StoredMesh},
@@ -40,22 +42,25 @@ impl v1::lookalike_service_server::LookalikeService for Api {
         &self,
         request: Request<Streaming<v1::UploadMeshRequest>>,
     ) -> Result<Response<v1::UploadMeshResponse>, Status> {
+        let call = call_of(&request)?;
+        let desk = self.jobs.desk(&call.who);
         let mut parts = request.into_inner();
         let first = parts.message().await?.and_then(|message| message.part);
         let Some(v1::upload_mesh_request::Part::Header(header)) = first else {
             return Err(status::invalid("part", "the first message must be the header"));
         };
-        let known = self.jobs.reuse_mesh(&header.blake3).await.map_err(|e| status_of(&e))?;
+        let known = desk.reuse_mesh(&header.blake3).await.map_err(|e| status_of(&e))?;
         let mesh = if let Some(mesh) = known {
             mesh
         } else {
             let announced = Announced { size: header.size, hash: header.blake3 };
-            let put = |chunks| self.jobs.put_mesh(announced, chunks);
+            let put = |chunks| desk.put_mesh(announced, chunks);
             transfer::receive(parts, mesh_chunk, put).await?
         };
         tracing::info!(mesh = mesh.hash, bytes = mesh.size, existed = mesh.existed, "mesh stored");
         let StoredMesh { hash, size, existed } = mesh;
         let mesh = convert::mesh_name(&hash);
+        call.is_about(&mesh);
         Ok(Response::new(v1::UploadMeshResponse { mesh, size, existed }))
     }
 
@@ -63,9 +68,11 @@ impl v1::lookalike_service_server::LookalikeService for Api {
         &self,
         request: Request<v1::CreateJobRequest>,
     ) -> Result<Response<v1::CreateJobResponse>, Status> {
+        let call = call_of(&request)?;
         let request = request.into_inner();
         let (spec, faults) = convert::spec_from_wire(request.spec);
         let new = NewJob {
+            owner: call.who.owner.clone(),
             request_id: request.request_id,
             mesh: convert::mesh_hash(&request.mesh),
             file_name: request.file_name,
@@ -78,7 +85,8 @@ impl v1::lookalike_service_server::LookalikeService for Api {
             }
             status_of(&error)
         };
-        let job = self.jobs.create(new, faults).await.map_err(on_wire)?;
+        let job = self.jobs.desk(&call.who).create(new, faults).await.map_err(on_wire)?;
+        call.is_about(job.name());
         tracing::info!(job = job.id, state = %job.state, "job created");
         Ok(Response::new(v1::CreateJobResponse { job: Some(convert::job_to_wire(&job)) }))
     }
@@ -87,8 +95,9 @@ impl v1::lookalike_service_server::LookalikeService for Api {
         &self,
         request: Request<v1::GetJobRequest>,
     ) -> Result<Response<v1::GetJobResponse>, Status> {
+        let call = call_of(&request)?;
         let id = convert::job_id("name", &request.into_inner().name)?;
-        let job = self.jobs.job(&id).await.map_err(|e| status_of(&e))?;
+        let job = self.jobs.desk(&call.who).job(&id).await.map_err(|e| status_of(&e))?;
         Ok(Response::new(v1::GetJobResponse { job: Some(convert::job_to_wire(&job)) }))
     }
 
@@ -96,17 +105,20 @@ impl v1::lookalike_service_server::LookalikeService for Api {
         &self,
         request: Request<v1::ListJobsRequest>,
     ) -> Result<Response<v1::ListJobsResponse>, Status> {
+        let call = call_of(&request)?;
         let request = request.into_inner();
+        let owner = request.owner.as_str();
         let states = read_states(&request.states)?;
-        let before = read_token(&request.page_token, &states)?;
+        let before = read_token(&request.page_token, owner, &states)?;
         let limit = page_size(request.page_size, PAGE);
         // One more than asked for tells whether there is a next page.
-        let found = self.jobs.list(&states, before, limit + 1).await;
+        let found = self.jobs.desk(&call.who).list(owner, &states, before, limit + 1).await;
         let mut jobs = found.map_err(|e| status_of(&e))?;
         let more = jobs.len() > limit as usize;
         jobs.truncate(limit as usize);
         let last = jobs.last().filter(|_| more);
-        let next_page_token = last.map(|job| write_token(job.n, &states)).unwrap_or_default();
+        let next_page_token =
+            last.map(|job| write_token(job.n, owner, &states)).unwrap_or_default();
         let jobs = jobs.iter().map(convert::job_to_wire).collect();
         Ok(Response::new(v1::ListJobsResponse { jobs, next_page_token }))
     }
@@ -117,10 +129,11 @@ impl v1::lookalike_service_server::LookalikeService for Api {
         &self,
         request: Request<v1::WatchJobRequest>,
     ) -> Result<Response<Self::WatchJobStream>, Status> {
+        let call = call_of(&request)?;
         let request = request.into_inner();
         let id = convert::job_id("name", &request.name)?;
         // A missing job is the answer to the call, not the first item of the stream.
-        self.jobs.job(&id).await.map_err(|e| status_of(&e))?;
+        self.jobs.desk(&call.who).job(&id).await.map_err(|e| status_of(&e))?;
         let log = self.jobs.follow(&id, request.after_seq).map_err(|e| status_of(&e));
         let answers =
             log.map_ok(|event| v1::WatchJobResponse { event: Some(convert::event_to_wire(event)) });
@@ -131,8 +144,11 @@ impl v1::lookalike_service_server::LookalikeService for Api {
         &self,
         request: Request<v1::CancelJobRequest>,
     ) -> Result<Response<v1::CancelJobResponse>, Status> {
+        let call = call_of(&request)?;
         let id = convert::job_id("name", &request.into_inner().name)?;
-        let (job, has_ended) = self.jobs.cancel(&id).await.map_err(|e| status_of(&e))?;
+        call.is_about(format!("jobs/{id}"));
+        let cancelled = self.jobs.desk(&call.who).cancel(&id).await;
+        let (job, has_ended) = cancelled.map_err(|e| status_of(&e))?;
         if has_ended {
             self.observer.ended(&job);
         }
@@ -144,9 +160,11 @@ impl v1::lookalike_service_server::LookalikeService for Api {
         &self,
         request: Request<v1::DeleteJobRequest>,
     ) -> Result<Response<v1::DeleteJobResponse>, Status> {
+        let call = call_of(&request)?;
         let request = request.into_inner();
         let id = convert::job_id("name", &request.name)?;
-        match self.jobs.delete(&id).await {
+        call.is_about(format!("jobs/{id}"));
+        match self.jobs.desk(&call.who).delete(&id).await {
             Err(Error::NotFound(_)) if request.allow_missing => {}
             deleted => deleted.map_err(|e| status_of(&e))?,
         }
@@ -158,11 +176,13 @@ impl v1::lookalike_service_server::LookalikeService for Api {
         &self,
         request: Request<v1::ListArtifactsRequest>,
     ) -> Result<Response<v1::ListArtifactsResponse>, Status> {
+        let call = call_of(&request)?;
         let request = request.into_inner();
         let id = convert::job_id("parent", &request.parent)?;
         let after = read_file_token(&request.page_token)?;
         let limit = page_size(request.page_size, MAX_PAGE);
-        let artifacts = self.jobs.artifacts(&id).await.map_err(|e| status_of(&e))?;
+        let artifacts =
+            self.jobs.desk(&call.who).artifacts(&id).await.map_err(|e| status_of(&e))?;
         // By name, so that a page begins behind the last name of the one before.
         let rest = &artifacts[artifacts.partition_point(|a| a.file <= after)..];
         let page = rest.get(..limit as usize);
@@ -179,9 +199,11 @@ impl v1::lookalike_service_server::LookalikeService for Api {
         &self,
         request: Request<v1::ReadArtifactRequest>,
     ) -> Result<Response<Self::ReadArtifactStream>, Status> {
+        let call = call_of(&request)?;
         let request = request.into_inner();
         let (id, file) = convert::artifact_id("name", &request.name)?;
-        let (artifact, blob) = self.jobs.artifact(&id, &file).await.map_err(|e| status_of(&e))?;
+        let found = self.jobs.desk(&call.who).artifact(&id, &file).await;
+        let (artifact, blob) = found.map_err(|e| status_of(&e))?;
         if request.offset > artifact.size {
             let text =
                 format!("{} is past the end: the file has {} bytes", request.offset, artifact.size);
@@ -237,12 +259,12 @@ fn read_file_token(token: &str) -> Result<String, Status> {
 }
 
 /// Where the next page begins, and for which filter.
-fn write_token(before: i64, states: &[State]) -> String {
+fn write_token(before: i64, owner: &str, states: &[State]) -> String {
     let states: Vec<_> = states.iter().map(|state| state.name()).collect();
-    URL_SAFE_NO_PAD.encode(format!("{before} {}", states.join(" ")))
+    URL_SAFE_NO_PAD.encode(format!("{before} {owner} {}", states.join(" ")))
 }
 
-fn read_token(token: &str, states: &[State]) -> Result<Option<i64>, Status> {
+fn read_token(token: &str, owner: &str, states: &[State]) -> Result<Option<i64>, Status> {
     if token.is_empty() {
         return Ok(None);
     }
@@ -250,8 +272,8 @@ fn read_token(token: &str, states: &[State]) -> Result<Option<i64>, Status> {
     let text = URL_SAFE_NO_PAD.decode(token).ok().and_then(|bytes| String::from_utf8(bytes).ok());
     let before = text.as_deref().and_then(|text| text.split(' ').next()?.parse().ok());
     let before: i64 = before.ok_or_else(|| fault("not a token of this server: start over"))?;
-    if write_token(before, states) != token {
-        return Err(fault("it belongs to a list with other states: start over"));
+    if write_token(before, owner, states) != token {
+        return Err(fault("it belongs to a list with other states or another owner: start over"));
     }
     Ok(Some(before))
 }
@@ -263,11 +285,12 @@ mod tests {
     #[test]
     fn page_tokens_remember_their_filter() {
         let states = [State::Queued, State::Failed];
-        let token = write_token(42, &states);
-        assert_eq!(read_token(&token, &states).unwrap(), Some(42));
-        assert!(read_token(&token, &states[..1]).is_err());
-        assert!(read_token("@", &[]).is_err());
-        assert!(read_token("YWJj", &[]).is_err());
-        assert_eq!(read_token("", &states).unwrap(), None);
+        let token = write_token(42, "ann", &states);
+        assert_eq!(read_token(&token, "ann", &states).unwrap(), Some(42));
+        assert!(read_token(&token, "ann", &states[..1]).is_err());
+        assert!(read_token(&token, "", &states).is_err());
+        assert!(read_token("@", "", &[]).is_err());
+        assert!(read_token("YWJj", "", &[]).is_err());
+        assert_eq!(read_token("", "", &states).unwrap(), None);
     }
 }

@@ -3,12 +3,15 @@
 use std::{sync::Arc, time::Duration};
 
 use futures::future::BoxFuture;
-use tokio::net::TcpListener;
+use tokio::sync::mpsc;
+use tokio_stream::wrappers::ReceiverStream;
 use tokio_util::sync::CancellationToken;
-use tonic::transport::{Server, server::TcpIncoming};
+use tonic::transport::Server;
 
 use super::{
+    accept::Listeners,
     api::Api,
+    auth::{Gate, GateLayer},
     observe::Observer,
     proto::{
         DESCRIPTORS, v1::lookalike_service_server::LookalikeServiceServer,
@@ -32,25 +35,28 @@ pub enum ServeError {
     Transport(#[from] tonic::transport::Error),
 }
 
-/// Serves `jobs` on `listener` until `shutdown`, then waits for open calls. Give it a deadline from
+/// Serves `jobs` on `listeners`, behind `gate`, until `shutdown`, then waits for open calls. Give it a deadline from
 /// outside: peers that never close can hold hyper's graceful shutdown for an hour.
 ///
 /// Boxed, so that the server is compiled with this crate and not again with every user of it.
 pub fn serve(
-    listener: TcpListener,
+    listeners: Listeners,
+    gate: Gate,
     jobs: Jobs,
     observer: Arc<Observer>,
     shutdown: CancellationToken,
 ) -> BoxFuture<'static, Result<(), ServeError>> {
-    Box::pin(run(listener, jobs, observer, shutdown))
+    Box::pin(run(listeners, gate, jobs, observer, shutdown))
 }
 
 async fn run(
-    listener: TcpListener,
+    listeners: Listeners,
+    gate: Gate,
     jobs: Jobs,
     observer: Arc<Observer>,
     shutdown: CancellationToken,
 ) -> Result<(), ServeError> {
+    let gate = GateLayer::new(Arc::new(gate), jobs.clone());
     let api =
         Api { jobs: jobs.clone(), shutdown: shutdown.clone(), observer: Arc::clone(&observer) };
     let worker_api = WorkerApi { jobs, shutdown: shutdown.clone(), observer };
@@ -67,6 +73,7 @@ async fn run(
         .http2_keepalive_interval(Some(Duration::from_secs(20)))
         .http2_keepalive_timeout(Some(Duration::from_secs(20)))
         .max_connection_age(Duration::from_hours(1))
+        .layer(gate)
         .add_service(health_service)
         .add_service(reflection)
         .add_service(LookalikeServiceServer::new(api).max_decoding_message_size(MAX_MESSAGE_BYTES))
@@ -78,7 +85,9 @@ async fn run(
         health.set_not_serving::<LookalikeServiceServer<Api>>().await;
         health.set_not_serving::<WorkerServiceServer<WorkerApi>>().await;
     };
-    // Small answers must not wait for the peer's delayed acknowledgement (40 ms).
-    let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));
-    Ok(server.serve_with_incoming_shutdown(incoming, stop).await?)
+    let (ready, connections) = mpsc::channel(1);
+    let serve = server.serve_with_incoming_shutdown(ReceiverStream::new(connections), stop);
+    // The sockets close as soon as the server takes no more connections.
+    let (served, ()) = tokio::join!(serve, listeners.accept(ready));
+    Ok(served?)
 }

@@ -31,6 +31,7 @@ fn row(error: &Error) -> (Code, &'static str) {
         Error::Corrupt { .. } => (Code::DataLoss, "CORRUPT"),
         Error::TooLarge { .. } => (Code::ResourceExhausted, "TOO_LARGE"),
         Error::QueueFull(_) => (Code::ResourceExhausted, "QUEUE_FULL"),
+        Error::Quota { .. } => (Code::ResourceExhausted, "QUOTA"),
         error if error.is_passing() => (Code::Unavailable, AWAY),
         Error::InUse(_) | Error::OtherObjects(_) => (Code::FailedPrecondition, "IN_USE"),
         Error::Sql(_) | Error::Migrate(_) | Error::Stored { .. } => (Code::Internal, "DATABASE"),
@@ -52,12 +53,22 @@ pub fn status_of(error: &Error) -> Status {
         let faults = faults.iter().take(MAX_VIOLATIONS);
         details.set_bad_request(faults.map(violation).collect::<Vec<_>>());
     }
+    let must_wait = matches!(error, Error::QueueFull(_) | Error::Quota { .. });
     let pause = if error.is_passing() { Some(1) } else { None };
-    let pause = if matches!(error, Error::QueueFull(_)) { Some(5) } else { pause };
+    let pause = if must_wait { Some(5) } else { pause };
     if let Some(secs) = pause {
         details.set_retry_info(Some(Duration::from_secs(secs)));
     }
     Status::with_error_details(code, shorten(&error.to_string()), details)
+}
+
+/// A call that does not reach its handler.
+pub(super) fn refusal(code: Code, reason: &str, text: &str, retry: Option<Duration>) -> Status {
+    let mut details = ErrorDetails::with_error_info(reason, DOMAIN, HashMap::new());
+    if retry.is_some() {
+        details.set_retry_info(retry);
+    }
+    Status::with_error_details(code, text, details)
 }
 
 /// The server ends while a stream is open.

@@ -9,6 +9,7 @@ use tonic::{Request, Response, Status, Streaming};
 
 use super::{
     api::until,
+    auth::call_of,
     convert,
     observe::Observer,
     proto::worker::v1 as worker,
@@ -106,6 +107,7 @@ impl worker::worker_service_server::WorkerService for WorkerApi {
         &self,
         request: Request<Streaming<worker::PutArtifactRequest>>,
     ) -> Result<Response<worker::PutArtifactResponse>, Status> {
+        let call = call_of(&request)?;
         let mut parts = request.into_inner();
         let first = parts.message().await?.and_then(|message| message.part);
         let Some(worker::put_artifact_request::Part::Header(header)) = first else {
@@ -119,6 +121,7 @@ impl worker::worker_service_server::WorkerService for WorkerApi {
             blake3: header.blake3,
         };
         let (job, file) = (lease.job.clone(), artifact.file.clone());
+        call.is_about(format!("jobs/{job}/artifacts/{file}"));
         transfer::receive(parts, artifact_chunk, |chunks| {
             self.jobs.put_artifact(&lease, artifact, chunks)
         })
@@ -131,8 +134,10 @@ impl worker::worker_service_server::WorkerService for WorkerApi {
         &self,
         request: Request<worker::CompleteRequest>,
     ) -> Result<Response<worker::CompleteResponse>, Status> {
+        let call = call_of(&request)?;
         let request = request.into_inner();
         let lease = convert::lease_from_wire(request.lease)?;
+        call.is_about(format!("jobs/{}", lease.job));
         let outcome = convert::outcome_from_wire(request.outcome)?;
         let job = self.jobs.complete(&lease, &outcome).await.map_err(|e| status_of(&e))?;
         tracing::info!(job = job.id, state = %job.state, ?outcome, "attempt ended");

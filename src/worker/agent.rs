@@ -17,11 +17,12 @@ use tonic::Status;
 
 use super::{
     attempt::{self, Ended, Work},
+    confine,
     link::{Link, LinkError},
     pipeline::{DeviceChoice, Pipeline},
 };
 use crate::service::{
-    client::{Backoff, BadUrl, is_transient},
+    client::{Access, Backoff, BadTarget, is_transient},
     proto::worker::v1::Assignment,
 };
 
@@ -33,6 +34,8 @@ const MAX_JOBS: u32 = 500;
 pub struct WorkerConfig {
     /// The server's URL.
     pub url: String,
+    /// What the server asks of its callers.
+    pub access: Access,
     /// Names this incarnation.
     pub id: String,
     /// Which evaluator.
@@ -47,14 +50,16 @@ pub struct WorkerConfig {
     pub supervised: bool,
     /// End when the server does not answer for so long.
     pub give_up: Duration,
+    /// Seconds of processor time that a job may take; 0 for no limit.
+    pub cpu_secs: u64,
 }
 
 /// Why a worker ended early.
 #[derive(Debug, thiserror::Error)]
 pub enum WorkerError {
-    /// The URL is none.
+    /// The server cannot be called like this.
     #[error(transparent)]
-    Url(#[from] BadUrl),
+    Url(#[from] BadTarget),
     /// The server is gone.
     #[error("the server at {url} cannot be reached ({last}): start it, then this worker again")]
     Unreachable {
@@ -92,7 +97,7 @@ pub fn run(
 
 async fn serve(config: WorkerConfig, drain: CancellationToken) -> Result<(), WorkerError> {
     let _lock = config.lock.as_deref().map(|path| lock(path, &config.id)).transpose()?;
-    let link = Link::new(&config.url, config.give_up)?;
+    let link = Link::new(&config.url, &config.access, config.give_up)?;
     let parent = rustix::process::getppid();
     let supervised = config.supervised;
     let orphaned = move || supervised && rustix::process::getppid() != parent;
@@ -155,6 +160,7 @@ async fn work(
     remove(&config.scratch);
     let fault = |source| WorkerError::Io { path: config.scratch.clone(), source };
     fs::create_dir_all(&config.scratch).map_err(fault)?;
+    confine::grant_cpu(config.cpu_secs);
     let ended = attempt::run(link, work, config, drain).await;
     remove(&config.scratch);
     match ended {

@@ -7,7 +7,7 @@ use tokio::{
     io::AsyncReadExt,
     time::{Instant, timeout},
 };
-use tonic::{Response, Status, transport::Channel};
+use tonic::{Response, Status};
 
 use crate::{
     jobs::{
@@ -15,7 +15,7 @@ use crate::{
         store::{Appended, Artifact, Outcome},
     },
     service::{
-        client::{Backoff, BadUrl, channel, is_transient},
+        client::{Access, Backoff, BadTarget, Connection, connection, is_transient},
         convert,
         proto::worker::v1::{self as wire, worker_service_client::WorkerServiceClient},
         status::{STALE_LEASE, reason_of},
@@ -34,7 +34,7 @@ const CHUNK: usize = 256 << 10;
 /// The connection to the server.
 #[derive(Clone, Debug)]
 pub struct Link {
-    client: WorkerServiceClient<Channel>,
+    client: WorkerServiceClient<Connection>,
     give_up: Duration,
 }
 
@@ -67,8 +67,8 @@ pub enum LinkError {
 
 impl Link {
     /// Connects at the first call; gives a call up when there was no answer for `give_up`.
-    pub fn new(url: &str, give_up: Duration) -> Result<Self, BadUrl> {
-        Ok(Self { client: WorkerServiceClient::new(channel(url)?), give_up })
+    pub fn new(url: &str, access: &Access, give_up: Duration) -> Result<Self, BadTarget> {
+        Ok(Self { client: WorkerServiceClient::new(connection(url, access)?), give_up })
     }
 
     /// Asks once for a job, waiting a while for one to come.
@@ -86,7 +86,7 @@ impl Link {
     /// Extends the lease; true when the attempt should stop.
     pub async fn heartbeat(&self, lease: &Lease) -> Result<bool, LinkError> {
         let request = wire::HeartbeatRequest { lease: Some(convert::lease_to_wire(lease)) };
-        let call = |mut client: WorkerServiceClient<Channel>| {
+        let call = |mut client: WorkerServiceClient<Connection>| {
             let request = request.clone();
             async move { client.heartbeat(request).await }
         };
@@ -97,7 +97,7 @@ impl Link {
     pub async fn fetch_mesh(&self, lease: &Lease, hash: &str) -> Result<Vec<u8>, LinkError> {
         let mesh = if hash.is_empty() { String::new() } else { convert::mesh_name(hash) };
         let request = wire::FetchMeshRequest { lease: Some(convert::lease_to_wire(lease)), mesh };
-        let call = |mut client: WorkerServiceClient<Channel>| {
+        let call = |mut client: WorkerServiceClient<Connection>| {
             let request = request.clone();
             async move {
                 let mut chunks = client.fetch_mesh(request).await?.into_inner();
@@ -120,7 +120,7 @@ impl Link {
     ) -> Result<Appended, LinkError> {
         let lease = Some(convert::lease_to_wire(lease));
         let request = wire::AppendEventsRequest { lease, first_index: first, events };
-        let call = |mut client: WorkerServiceClient<Channel>| {
+        let call = |mut client: WorkerServiceClient<Connection>| {
             let request = request.clone();
             async move { client.append_events(request).await }
         };
@@ -142,7 +142,7 @@ impl Link {
             size: artifact.size,
             blake3: artifact.blake3.clone(),
         };
-        let call = |mut client: WorkerServiceClient<Channel>| {
+        let call = |mut client: WorkerServiceClient<Connection>| {
             let header = header.clone();
             async move {
                 let file = tokio::fs::File::open(path).await.map_err(|e| unreadable(path, &e))?;
@@ -159,7 +159,7 @@ impl Link {
             lease: Some(convert::lease_to_wire(lease)),
             outcome: Some(convert::outcome_to_wire(outcome)),
         };
-        let call = |mut client: WorkerServiceClient<Channel>| {
+        let call = |mut client: WorkerServiceClient<Connection>| {
             let request = request.clone();
             async move { client.complete(request).await }
         };
@@ -171,7 +171,7 @@ impl Link {
     async fn answered<T, F>(
         &self,
         limit: Duration,
-        call: impl Fn(WorkerServiceClient<Channel>) -> F,
+        call: impl Fn(WorkerServiceClient<Connection>) -> F,
     ) -> Result<T, LinkError>
     where
         F: Future<Output = Result<Response<T>, Status>>,

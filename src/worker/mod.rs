@@ -3,7 +3,8 @@
 //! 1. A worker speaks only gRPC to its server: it opens no database and no object directory.
 //! 2. What the pipeline reports is kept until the server acknowledged it ([`outbox`]).
 //! 3. A lease that the server calls stale ends the attempt at once; nothing of it is sent any more.
-//! 4. A worker that cannot reach its server for a minute ends.
+//! 4. A local worker is confined before it claims ([`confine`]), and has no way out but its server's socket.
+//! 5. A worker that cannot reach its server for a minute ends.
 //!
 //! [`agent`] is the claim loop, [`attempt`] runs one job, [`supervisor`] keeps local workers alive.
 
@@ -13,6 +14,7 @@ mod branch;
 mod budget;
 mod chain;
 mod chosen;
+pub mod confine;
 mod course;
 mod critic;
 mod gauge;

@@ -3,7 +3,8 @@
 //! 1. A child gets a new identity at every start, so that its old leases cannot be mistaken for new.
 //! 2. `LP_*` variables are withheld from children: `LP_NATIVE_VECTOR_WIDTH` makes Mesa's software
 //!    rasterizer corrupt its heap.
-//! 3. Children may outlive a killed server; they hold their lock file until they end.
+//! 3. So are those of this program that hold secrets: a child shows who it is by the socket it calls on.
+//! 4. Children may outlive a killed server; they hold their lock file until they end.
 //!
 //! Knows nothing of jobs: it reports who is gone.
 
@@ -19,6 +20,8 @@ use rustix::process::{Pid, Signal, kill_process};
 use tokio::process::{Child, Command};
 use tokio_util::sync::CancellationToken;
 
+use crate::service::accept::SOCKET;
+
 /// A child that lived this long was no false start.
 const SOUND: Duration = Duration::from_secs(10);
 const FIRST_PAUSE: Duration = Duration::from_millis(200);
@@ -27,13 +30,15 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(10);
 /// The workers of a server.
 #[derive(Clone, Debug)]
 pub struct Crew {
-    /// The server's URL.
-    pub url: String,
+    /// Memory of a worker in MiB, and seconds of processor time of its jobs; 0 for no limit.
+    pub memory_mib: u64,
+    /// See `memory_mib`.
+    pub cpu_secs: u64,
     /// Device of every worker.
     pub device: String,
     /// How many.
     pub n_workers: usize,
-    /// Where lock files are kept, one a worker: `{id}.lock`.
+    /// Where the server's socket is, and lock files are kept, one a worker: `{id}.lock`.
     pub locks: PathBuf,
     /// Where workers keep the files of jobs at work, one folder a worker.
     pub scratch: PathBuf,
@@ -99,13 +104,11 @@ impl Crew {
     fn spawn(&self, id: &str) -> io::Result<Child> {
         let mut command = Command::new(program());
         command.arg0("lookalike").arg("worker").arg("--supervised");
-        command
-            .arg("--connect")
-            .arg(&self.url)
-            .arg("--device")
-            .arg(&self.device)
-            .arg("--id")
-            .arg(id);
+        // Addresses of Unix sockets are short, those of folders may be long.
+        command.current_dir(&self.locks).arg("--connect").arg(format!("unix:{SOCKET}"));
+        command.arg("--device").arg(&self.device).arg("--id").arg(id);
+        command.arg("--memory-mib").arg(self.memory_mib.to_string());
+        command.arg("--cpu-secs").arg(self.cpu_secs.to_string());
         command.arg("--lock").arg(self.locks.join(format!("{id}.lock")));
         command.arg("--scratch").arg(self.scratch.join(id));
         if self.log_json {
@@ -140,8 +143,9 @@ impl Crew {
 }
 
 /// What workers must not find in their environment: settings that make lavapipe abort, and the ways
-/// into the database and the bucket, which are the server's.
-const WITHHELD: [&str; 5] = ["LP_", "AWS_", "PG", "LOOKALIKE_DATABASE", "LOOKALIKE_OBJECTS"];
+/// into the database, the bucket and other servers, which are not theirs.
+const WITHHELD: [&str; 6] =
+    ["LP_", "AWS_", "PG", "LOOKALIKE_DATABASE", "LOOKALIKE_OBJECTS", "LOOKALIKE_TOKEN"];
 
 fn is_withheld(variable: &str) -> bool {
     WITHHELD.iter().any(|prefix| variable.starts_with(prefix))
@@ -163,7 +167,12 @@ mod tests {
 
     #[test]
     fn rasterizer_settings_and_credentials_are_withheld() {
-        for withheld in ["LP_NATIVE_VECTOR_WIDTH", "AWS_SECRET_ACCESS_KEY", "LOOKALIKE_DATABASE"] {
+        for withheld in [
+            "LP_NATIVE_VECTOR_WIDTH",
+            "AWS_SECRET_ACCESS_KEY",
+            "LOOKALIKE_DATABASE",
+            "LOOKALIKE_TOKEN",
+        ] {
             assert!(is_withheld(withheld), "{withheld}");
         }
         for passed_on in ["HELP_ME", "PATH", "LOOKALIKE_DEVICE"] {

@@ -10,6 +10,7 @@
 )]
 
 mod api;
+mod auth;
 mod bad_input;
 mod command_line;
 mod farm;
@@ -23,5 +24,6 @@ mod processes;
 #[path = "../stores/s3.rs"]
 mod s3;
 mod support;
+mod tls;
 mod torture;
 mod workers;

@@ -8,7 +8,7 @@ use lookalike::{
         spec::Spec,
         state::State,
     },
-    service::proto::v1,
+    service::{client::Access, proto::v1},
     worker::{
         agent::{self, WorkerConfig, WorkerError},
         pipeline::{self, DeviceChoice, Inputs, PipelineError},
@@ -41,6 +41,7 @@ async fn crew(url: String, scratch: std::path::PathBuf) -> u32 {
     loop {
         let config = WorkerConfig {
             url: url.clone(),
+            access: Access::default(),
             id: format!("incarnation-{n_tainted}"),
             device: DeviceChoice("cpu".into()),
             pipeline: panics_on_the_cursed,
@@ -48,6 +49,7 @@ async fn crew(url: String, scratch: std::path::PathBuf) -> u32 {
             lock: None,
             supervised: false,
             give_up: Duration::from_secs(2),
+            cpu_secs: 0,
         };
         match agent::run(config, CancellationToken::new()).await {
             Err(WorkerError::Tainted) => n_tainted += 1,

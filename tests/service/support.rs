@@ -14,7 +14,8 @@ use std::{
 use lookalike::{
     jobs::{event::Event, spec::Spec, state::State},
     service::{
-        client,
+        auth::Secret,
+        client::{self, Access, Connection},
         convert::{event_from_wire, spec_to_wire, state_from_wire},
         proto::{
             v1::{self, lookalike_service_client::LookalikeServiceClient},
@@ -121,8 +122,10 @@ impl Server {
         all.push(format!("--data-dir={}", dir.path().join("data").display()));
         all.push("--device=cpu".into());
         all.extend(flags.iter().map(|flag| (*flag).into()));
-        let child = spawn(&all, &environment);
-        Self { dir, url: format!("http://{listen}"), metrics, flags: all, environment, child }
+        let child = spawn(&all, &environment, &dir.path().join("log"));
+        let is_tls = flags.iter().any(|flag| flag.starts_with("--tls-cert"));
+        let scheme = if is_tls { "https" } else { "http" };
+        Self { dir, url: format!("{scheme}://{listen}"), metrics, flags: all, environment, child }
     }
 
     /// SIGKILL, and nothing else: workers live on.
@@ -133,7 +136,7 @@ impl Server {
 
     /// After [`Self::kill`] or [`Self::terminate`].
     pub(crate) fn restart(&mut self) {
-        self.child = spawn(&self.flags, &self.environment);
+        self.child = spawn(&self.flags, &self.environment, &self.dir.path().join("log"));
     }
 
     /// SIGTERM; how long it took to end, and whether it ended well.
@@ -146,6 +149,11 @@ impl Server {
 
     pub(crate) fn data_dir(&self) -> PathBuf {
         self.dir.path().join("data")
+    }
+
+    /// What the server and its workers have logged.
+    pub(crate) fn logged(&self) -> String {
+        fs::read_to_string(self.dir.path().join("log")).unwrap()
     }
 
     /// The processes of the workers that live.
@@ -211,15 +219,16 @@ pub(crate) fn lookalike() -> Command {
     command
 }
 
-/// Starts a server and waits until it listens.
-fn spawn(flags: &[String], environment: &[(String, String)]) -> Child {
+/// Starts a server that adds to `log`, and waits until it listens.
+fn spawn(flags: &[String], environment: &[(String, String)], log: &Path) -> Child {
+    let log = fs::File::options().create(true).append(true).open(log).unwrap();
     let mut command = lookalike();
     command.envs(environment.iter().cloned());
-    command.arg("serve").args(flags).stdout(Stdio::piped()).stderr(Stdio::null());
+    command.arg("serve").args(flags).stdout(Stdio::piped()).stderr(log);
     let mut child = command.spawn().unwrap();
     let mut line = String::new();
     BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
-    assert!(line.starts_with("listening on http://"), "the server said {line:?}");
+    assert!(line.starts_with("listening on http"), "the server said {line:?}");
     child
 }
 
@@ -249,13 +258,36 @@ where
     }
 }
 
+/// A client of a server that asks who calls.
+pub(crate) fn with_token(server: &Server, token: &str) -> LookalikeServiceClient<Connection> {
+    let access = Access { token: Some(Secret::new(token)), ..Access::default() };
+    LookalikeServiceClient::new(client::connection(&server.url, &access).unwrap())
+}
+
 /// Stores a mesh; its name.
 pub(crate) async fn upload(client: &mut Client, bytes: Vec<u8>) -> String {
+    upload_parts(bytes, async |parts| client.upload_mesh(parts).await).await
+}
+
+/// The same for a client that says who it is.
+pub(crate) async fn upload_as(
+    client: &mut LookalikeServiceClient<Connection>,
+    bytes: Vec<u8>,
+) -> String {
+    upload_parts(bytes, async |parts| client.upload_mesh(parts).await).await
+}
+
+async fn upload_parts(
+    bytes: Vec<u8>,
+    send: impl AsyncFnOnce(
+        futures::stream::Iter<std::array::IntoIter<v1::UploadMeshRequest, 2>>,
+    ) -> Result<tonic::Response<v1::UploadMeshResponse>, tonic::Status>,
+) -> String {
     use v1::upload_mesh_request::Part;
     let header = v1::UploadMeshHeader { size: bytes.len() as u64, blake3: String::new() };
     let parts = [Part::Header(header), Part::Chunk(bytes.into())];
     let parts = parts.map(|part| v1::UploadMeshRequest { part: Some(part) });
-    client.upload_mesh(futures::stream::iter(parts)).await.unwrap().into_inner().mesh
+    send(futures::stream::iter(parts)).await.unwrap().into_inner().mesh
 }
 
 pub(crate) fn create_request(mesh: &str, request_id: &str) -> v1::CreateJobRequest {
@@ -284,7 +316,13 @@ pub(crate) fn state(job: &v1::Job) -> State {
 }
 
 /// Waits until the job has ended, through restarts of the server.
-pub(crate) async fn ended(client: &Client, name: &str) -> v1::Job {
+pub(crate) async fn ended<T>(client: &LookalikeServiceClient<T>, name: &str) -> v1::Job
+where
+    T: tonic::client::GrpcService<tonic::body::Body> + Clone,
+    T::Error: Into<tonic::codegen::StdError>,
+    T::ResponseBody: tonic::codegen::Body<Data = tonic::codegen::Bytes> + Send + 'static,
+    <T::ResponseBody as tonic::codegen::Body>::Error: Into<tonic::codegen::StdError> + Send,
+{
     eventually(name, || async {
         let request = v1::GetJobRequest { name: name.into() };
         let job = client.clone().get_job(request).await.ok()?.into_inner().job?;

@@ -55,6 +55,8 @@ class Scripted(LookalikeServiceServicer):
         self.received: list[bytes] = []
         self.goodbye: status_pb2.Status | None = None
         self.lock = threading.Lock()
+        #: What calls said of who makes them.
+        self.callers: list[str | None] = []
 
     def _until_it_breaks(self, messages: list, context: grpc.ServicerContext) -> Iterator:
         with self.lock:
@@ -66,6 +68,7 @@ class Scripted(LookalikeServiceServicer):
             context.abort(grpc.StatusCode.UNAVAILABLE, "connection reset")
 
     def GetJob(self, request, context):
+        self.callers.append(dict(context.invocation_metadata()).get("authorization"))
         if request.name != JOB:
             context.abort_with_status(rpc_status.to_status(answer(code_pb2.NOT_FOUND, "NOT_FOUND")))
         job = job_pb2.Job(name=JOB, state=job_pb2.JOB_STATE_SUCCEEDED)
@@ -73,6 +76,7 @@ class Scripted(LookalikeServiceServicer):
         return api.GetJobResponse(job=job)
 
     def WatchJob(self, request, context):
+        self.callers.append(dict(context.invocation_metadata()).get("authorization"))
         self.asked_after.append(request.after_seq)
         rest = [api.WatchJobResponse(event=e) for e in self.log if e.seq > request.after_seq]
         yield from self._until_it_breaks(rest, context)
@@ -92,6 +96,7 @@ class Scripted(LookalikeServiceServicer):
         yield from self._until_it_breaks(answers, context)
 
     def UploadMesh(self, request_iterator, context):
+        self.callers.append(dict(context.invocation_metadata()).get("authorization"))
         header = next(request_iterator).header
         chunks = [request.chunk for request in request_iterator]
         self.received = chunks
@@ -287,7 +292,25 @@ def test_wrong_keywords_say_what_is_right(options: dict, text: str) -> None:
         simplify_spec([1], **options)
 
 
-@pytest.mark.parametrize("url", ["", "127.0.0.1:7420", "https://x", "http://", "http://x/y"])
+def test_every_kind_of_call_says_who_makes_it(scripted, monkeypatch) -> None:
+    service, anonymous = scripted
+    anonymous.job(JOB)
+    monkeypatch.setenv("LOOKALIKE_TOKEN", "from-the-environment")
+    for token, wanted in [("given", "Bearer given"), (None, "Bearer from-the-environment")]:
+        with lookalike.Client(anonymous.url, token=token) as client:
+            client.job(JOB)
+            client.upload(b"solid", file_name="a.stl")
+            assert list(client.watch(JOB)) == events()
+        assert service.callers[-3:] == [wanted] * 3
+    assert service.callers[0] is None
+
+
+def test_a_certificate_needs_its_key(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="both cert and key"):
+        lookalike.Client("https://127.0.0.1:1", cert=tmp_path / "cert.pem")
+
+
+@pytest.mark.parametrize("url", ["", "127.0.0.1:7420", "ftp://x", "http://", "http://x/y"])
 def test_wrong_addresses_say_what_is_right(url: str) -> None:
     with pytest.raises(ValueError, match="use a URL such as"):
         lookalike.Client(url)

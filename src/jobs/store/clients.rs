@@ -6,9 +6,10 @@ use sqlx::{AssertSqlSafe, Row, any::AnyRow};
 
 use super::{
     Artifact, Exclusive, Job, State, Store, StoredEvent, Tx, event_of, find, find_to_write, job_of,
-    log, now_ms, only, places, sql, state_entry, stored,
+    log, now_ms, only, owners, places, sql, state_entry, storable, stored,
 };
 use crate::jobs::{
+    Limits,
     error::{Error, Result},
     spec::Spec,
     state::Trigger,
@@ -17,7 +18,9 @@ use crate::jobs::{
 /// A job to be created. The caller has validated it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NewJob {
-    /// Names the request; empty for a request that may not be repeated.
+    /// Whose it will be.
+    pub owner: String,
+    /// Names the request among its owner's; empty for a request that may not be repeated.
     pub request_id: String,
     /// Hash of the input.
     pub mesh: String,
@@ -115,27 +118,27 @@ impl Store {
     }
 
     /// Creates a job under `id`, unless its request already made one; says whether it is new.
-    pub async fn create(&self, id: &str, new: &NewJob, max_queued: u64) -> Result<(Job, bool)> {
+    pub async fn create(&self, id: &str, new: &NewJob, limits: &Limits) -> Result<(Job, bool)> {
         let mut tx = self.begin().await?;
         only(&mut tx, Exclusive::Create).await?;
-        let request_id = Some(&new.request_id).filter(|id| !id.is_empty());
-        let query = sqlx::query("SELECT * FROM jobs WHERE request_id = $1").bind(request_id);
-        if let Some(row) = query.fetch_optional(&mut *tx).await? {
-            return Ok((same_request(job_of(&row)?, new)?, false));
+        if let Some(job) = owners::requested(&mut tx, new).await? {
+            return Ok((same_request(job, new)?, false));
         }
+        owners::check_queue(&mut tx, &new.owner, limits.max_owner_queued).await?;
         let query =
             sqlx::query_scalar::<_, i64>("SELECT count(*) FROM jobs WHERE state = 'QUEUED'");
-        if query.fetch_one(&mut *tx).await? as u64 >= max_queued {
-            return Err(Error::QueueFull(max_queued));
+        if query.fetch_one(&mut *tx).await? as u64 >= limits.max_queued {
+            return Err(Error::QueueFull(limits.max_queued));
         }
         let now = now_ms(&mut tx).await?;
         keep_meshes(&mut tx, new, now).await?;
         let spec = serde_json::to_string(&new.spec).map_err(stored("the specification"))?;
-        let insert = "INSERT INTO jobs (id, request_id, mesh, file_name, spec, state, created_ms) \
+        let insert = "INSERT INTO jobs (id, owner, mesh, file_name, spec, state, created_ms) \
                       VALUES ($1, $2, $3, $4, $5, $6, $7)";
-        let insert = sqlx::query(insert).bind(id).bind(request_id).bind(&new.mesh);
+        let insert = sqlx::query(insert).bind(id).bind(&new.owner).bind(&new.mesh);
         let insert = insert.bind(&new.file_name).bind(spec).bind(State::Queued.name()).bind(now);
         insert.execute(&mut *tx).await?;
+        owners::note_request(&mut tx, new, id).await?;
         let mut job = find(&mut tx, id).await?;
         let entry = state_entry(&job, "CREATED", "waiting for a worker".into());
         log(&mut tx, &mut job, now, &[entry]).await?;
@@ -148,20 +151,26 @@ impl Store {
         find(&mut *self.readers.acquire().await?, id).await
     }
 
-    /// Jobs in one of `states` (all when empty), newest first, older than the job numbered `before`.
+    /// Jobs of `owner` (everybody's where there is none) in one of `states` (all when empty), newest
+    /// first, older than the job numbered `before`.
     pub async fn list(
         &self,
+        owner: Option<&str>,
         states: &[State],
         before: Option<i64>,
         limit: u32,
     ) -> Result<Vec<Job>> {
-        let filter = match states.len() {
+        let of_owner = if owner.is_some() { "AND owner = $3" } else { "" };
+        let in_states = match states.len() {
             0 => String::new(),
-            n => format!("AND state IN {}", places(3, n)),
+            n => format!("AND state IN {}", places(3 + usize::from(owner.is_some()), n)),
         };
-        let query = format!("SELECT * FROM jobs WHERE n < $1 {filter} ORDER BY n DESC LIMIT $2");
+        let query = format!(
+            "SELECT * FROM jobs WHERE n < $1 {of_owner} {in_states} ORDER BY n DESC LIMIT $2"
+        );
         let query = sqlx::query(AssertSqlSafe(query)).bind(before.unwrap_or(i64::MAX));
         let query = query.bind(i64::from(limit));
+        let query = owner.into_iter().fold(query, |query, owner| query.bind(storable(owner)));
         let query = states.iter().fold(query, |query, state| query.bind(state.name()));
         query.fetch_all(&self.readers).await?.iter().map(job_of).collect()
     }

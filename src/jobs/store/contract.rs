@@ -9,8 +9,12 @@ use tempfile::TempDir;
 
 use super::*;
 use crate::jobs::{
+    Limits,
+    audit::AuditEntry,
+    error::Quota,
     event::Report,
     lease::{Lease, Terms},
+    principal::LOCAL,
     spec::{Input, Spec},
     tests::{database, in_homes},
 };
@@ -49,6 +53,8 @@ in_homes! { [on_sqlite on_postgres] [
     servers_that_start_together_agree_on_the_schema,
     a_request_repeated_on_all_servers_makes_one_job,
     the_cap_on_the_queue_is_exact,
+    what_an_owner_may_have_is_exact,
+    the_audit_table_keeps_what_is_young,
     every_job_is_claimed_once,
     logs_have_no_gaps_whoever_writes,
     numbers_are_committed_in_order,
@@ -75,7 +81,13 @@ async fn add_mesh(store: &Store, name: &str) {
 
 fn new_job(request_id: &str) -> NewJob {
     let (request_id, file_name) = (request_id.into(), "a.ply".into());
-    NewJob { request_id, mesh: hash("mesh"), file_name, spec: Spec::new(vec![5]) }
+    let (owner, mesh) = (LOCAL.into(), hash("mesh"));
+    NewJob { owner, request_id, mesh, file_name, spec: Spec::new(vec![5]) }
+}
+
+/// No more than so many jobs may wait.
+fn queue_of(max_queued: u64) -> Limits {
+    Limits { max_queued, ..Limits::default() }
 }
 
 /// Creates jobs `{prefix}0`, … without a request's name.
@@ -83,7 +95,7 @@ async fn create(store: &Store, prefix: &str, n_jobs: usize) -> Vec<Job> {
     add_mesh(store, "mesh").await;
     let mut jobs = Vec::new();
     for i in 0..n_jobs {
-        let job = store.create(&format!("{prefix}{i}"), &new_job(""), u64::MAX >> 1).await;
+        let job = store.create(&format!("{prefix}{i}"), &new_job(""), &Limits::default()).await;
         jobs.push(job.unwrap().0);
     }
     jobs
@@ -114,13 +126,13 @@ async fn a_request_repeated_on_all_servers_makes_one_job(home: Home) {
     add_mesh(&stores[0], "mesh").await;
     let calls = (0..40).map(|i| {
         let store = &stores[i % 2];
-        async move { store.create(&format!("j{i}"), &new_job("same"), 100).await }
+        async move { store.create(&format!("j{i}"), &new_job("same"), &queue_of(100)).await }
     });
     let made = try_join_all(calls).await.unwrap();
     assert_eq!(made.iter().filter(|(_, is_new)| *is_new).count(), 1);
     assert!(made.iter().all(|(job, _)| *job == made[0].0));
     let other = NewJob { file_name: "b.ply".into(), ..new_job("same") };
-    let refused = stores[1].create("x", &other, 100).await;
+    let refused = stores[1].create("x", &other, &queue_of(100)).await;
     assert!(matches!(refused, Err(Error::RequestIdReused(_))));
 }
 
@@ -129,12 +141,56 @@ async fn the_cap_on_the_queue_is_exact(home: Home) {
     add_mesh(&stores[0], "mesh").await;
     let calls = (0..20).map(|i| {
         let store = &stores[i % 2];
-        async move { store.create(&format!("j{i}"), &new_job(""), 7).await }
+        async move { store.create(&format!("j{i}"), &new_job(""), &queue_of(7)).await }
     });
     let made = join_all(calls).await;
     assert_eq!(made.iter().filter(|made| made.is_ok()).count(), 7);
     let refused = made.iter().filter(|made| matches!(made, Err(Error::QueueFull(7))));
     assert_eq!(refused.count(), 13);
+}
+
+async fn what_an_owner_may_have_is_exact(home: Home) {
+    let stores: [Store; 2] = home.servers().await;
+    let names: Vec<_> = (0..20).map(|i| format!("mesh{i}")).collect();
+    for name in names.iter().map(String::as_str).chain(["mesh"]) {
+        add_mesh(&stores[0], name).await;
+    }
+    let limits = Limits { max_owner_queued: 3, ..Limits::default() };
+    let made = join_all((0..20).map(|i| {
+        let (store, limits, owner) = (&stores[i % 2], &limits, ["ann", "bob"][i / 2 % 2].into());
+        let new = NewJob { owner, ..new_job("") };
+        async move { store.create(&format!("j{i}"), &new, limits).await }
+    }));
+    let made = made.await;
+    assert_eq!(made.iter().filter(|made| made.is_ok()).count(), 6);
+    let is_full = |error: &Error| matches!(error, Error::Quota { quota: Quota::Queued, limit: 3 });
+    assert!(made.iter().filter_map(|made| made.as_ref().err()).all(is_full));
+    // Each mesh has four bytes.
+    let owned = names.iter().enumerate().map(|(i, name)| {
+        let store = &stores[i % 2];
+        async move { store.own_mesh("ann", &hash(name), 4, 19).await }
+    });
+    let owned = join_all(owned).await;
+    assert_eq!(owned.iter().filter(|owned| matches!(owned, Ok(true))).count(), 4);
+    assert_eq!(stores[1].stored_bytes("ann").await.unwrap(), 16);
+    assert_eq!(stores[1].stored_bytes("bob").await.unwrap(), 0);
+}
+
+async fn the_audit_table_keeps_what_is_young(home: Home) {
+    let [store]: [Store; 1] = home.servers().await;
+    let [principal, owner, peer] = ["ann-laptop", "ann", "unix"].map(str::to_owned);
+    // A stranger may ask for anything.
+    let [method, resource, outcome] = ["GetJob", "jobs/\0é", "NOT_FOUND"].map(str::to_owned);
+    store.audit(&AuditEntry { principal, owner, peer, method, resource, outcome }).await.unwrap();
+    let resources = async || {
+        let query = sqlx::query_scalar::<_, String>("SELECT resource FROM audit");
+        query.fetch_all(&store.readers).await.unwrap()
+    };
+    store.forget_audit(Duration::from_hours(1)).await.unwrap();
+    assert_eq!(resources().await, ["jobs/\u{fffd}é"]);
+    tokio::time::sleep(Duration::from_millis(5)).await;
+    store.forget_audit(Duration::ZERO).await.unwrap();
+    assert_eq!(resources().await, [""; 0]);
 }
 
 async fn every_job_is_claimed_once(home: Home) {
@@ -197,7 +253,7 @@ async fn numbers_are_committed_in_order(home: Home) {
     let reader = async {
         let mut seen = 0;
         while seen < 81 {
-            let listed = stores[2].list(&[], None, 1000).await.unwrap();
+            let listed = stores[2].list(None, &[], None, 1000).await.unwrap();
             assert_eq!(listed[0].n - listed[listed.len() - 1].n + 1, listed.len() as i64);
             seen = listed.len();
         }
@@ -212,14 +268,16 @@ async fn a_job_keeps_its_meshes(home: Home) {
     }
     let input = Input { mesh: hash("crude"), file_name: "b.ply".into() };
     let new = NewJob { spec: Spec::optimizing(input), ..new_job("") };
-    store.create("a", &new, 9).await.unwrap();
+    store.create("a", &new, &queue_of(9)).await.unwrap();
     assert_eq!(store.forget_meshes(Duration::from_hours(1)).await.unwrap(), Vec::<String>::new());
     assert_eq!(store.forget_meshes(Duration::ZERO).await.unwrap(), [hash("unused")]);
     // Forgotten between the caller's look and the creation.
     let late = NewJob { mesh: hash("unused"), ..new_job("") };
-    let Err(Error::Invalid(faults)) = store.create("b", &late, 9).await else { panic!("created") };
+    let Err(Error::Invalid(faults)) = store.create("b", &late, &queue_of(9)).await else {
+        panic!("created")
+    };
     assert_eq!(faults[0].field, "mesh");
-    assert_eq!(store.list(&[], None, 9).await.unwrap().len(), 1);
+    assert_eq!(store.list(None, &[], None, 9).await.unwrap().len(), 1);
 }
 
 async fn texts_are_kept_and_ordered_by_their_bytes(home: Home) {
@@ -265,7 +323,7 @@ async fn expired_leases_are_lost_once(home: Home) {
     tokio::time::sleep(Duration::from_millis(20)).await;
     let (a, b) = tokio::join!(stores[0].lose_expired(3), stores[1].lose_expired(3));
     assert_eq!(a.unwrap().len() + b.unwrap().len(), 10);
-    for job in stores[1].list(&[], None, 99).await.unwrap() {
+    for job in stores[1].list(None, &[], None, 99).await.unwrap() {
         assert_eq!((job.state, job.lost, job.last_seq), (State::Queued, 1, 4));
     }
 }

@@ -162,6 +162,7 @@ impl Dialect {
     fn migrations(&self) -> Migrator {
         let table = [
             (1, "jobs", include_str!("../migrations/0001_jobs.sql")),
+            (2, "owners", include_str!("../migrations/0002_owners.sql")),
             (3, "objects", include_str!("../migrations/0003_objects.sql")),
         ];
         let migration = |(version, name, sql): (i64, &'static str, &'static str)| {

@@ -1,5 +1,5 @@
-//! The job database, SQLite or PostgreSQL (`dialect.rs`), and all of its SQL (here, in `clients.rs` and
-//! `workers.rs`).
+//! The job database, SQLite or PostgreSQL (`dialect.rs`), and all of its SQL (here, in `clients.rs`,
+//! `owners.rs` and `workers.rs`).
 //!
 //! 1. A transaction that reads before it writes locks first what it reads: SQLite by BEGIN IMMEDIATE (a
 //!    deferred one that upgrades is refused with SQLITE_BUSY whatever the busy timeout), PostgreSQL
@@ -16,6 +16,7 @@
 mod clients;
 mod dialect;
 mod listen;
+mod owners;
 mod workers;
 
 #[cfg(test)]
@@ -45,6 +46,8 @@ pub struct Job {
     pub n: i64,
     /// A UUID without hyphens.
     pub id: String,
+    /// Whose it is.
+    pub owner: String,
     /// Hash of the input.
     pub mesh: String,
     /// The input's file name; its extension gives the format.
@@ -167,6 +170,8 @@ type Tx = Transaction<'static, Any>;
 enum Exclusive<'a> {
     /// Creating jobs.
     Create,
+    /// Counting what an owner has against what it may have.
+    Count,
     /// Storing or sweeping the mesh of this hash.
     Mesh(&'a str),
 }
@@ -176,6 +181,7 @@ impl Exclusive<'_> {
     fn number(self) -> i64 {
         match self {
             Self::Create => -1,
+            Self::Count => -2,
             // 60 bits of it; meshes that share them wait for one another.
             Self::Mesh(hash) => {
                 i64::from_str_radix(hash.get(..15).unwrap_or_default(), 16).unwrap_or(0)
@@ -273,6 +279,7 @@ fn job_of(row: &AnyRow) -> Result<Job> {
     let int = |column: &str| row.try_get::<i64, _>(column);
     Ok(Job {
         n: int("n")?,
+        owner: row.try_get("owner")?,
         mesh: row.try_get("mesh")?,
         file_name: row.try_get("file_name")?,
         spec: from_json(&id, row.try_get("spec")?)?,

@@ -21,10 +21,11 @@ use tokio_util::bytes::Bytes;
 
 use self::postgres::Cluster;
 use super::{
-    clients::Announced,
+    clients::{Announced, StoredMesh},
     error::Error,
     event::{Body, Event, Report, ServerEvent},
     lease::Lease,
+    principal::LOCAL,
     spec::Spec,
     state::State,
     store::{Address, Artifact, NewJob, Outcome},
@@ -39,22 +40,22 @@ pub(super) fn database() -> Option<String> {
 }
 
 /// Where a test keeps what it stores.
-struct Home {
+pub(super) struct Home {
     dir: TempDir,
     database: Option<Address>,
 }
 
 impl Home {
-    fn on_sqlite() -> Self {
+    pub(super) fn on_sqlite() -> Self {
         Self { dir: tempfile::tempdir().unwrap(), database: None }
     }
 
-    fn on_postgres() -> Option<Self> {
+    pub(super) fn on_postgres() -> Option<Self> {
         let database = Some(Address::parse(&database()?).unwrap());
         Some(Self { dir: tempfile::tempdir().unwrap(), database })
     }
 
-    fn places(&self) -> Places {
+    pub(super) fn places(&self) -> Places {
         Places { data_dir: self.dir.path().into(), database: self.database.clone(), bucket: None }
     }
 
@@ -104,10 +105,15 @@ fn bytes_of(chunks: &[&'static [u8]]) -> mpsc::Receiver<Bytes> {
     receive
 }
 
+async fn put_mesh(jobs: &Jobs, owner: &str) -> StoredMesh {
+    let chunks = bytes_of(&[b"a ", b"mesh"]);
+    jobs.put_mesh(owner, Announced::default(), chunks).await.unwrap()
+}
+
 async fn new_job(jobs: &Jobs, request_id: &str) -> NewJob {
-    let mesh = jobs.put_mesh(Announced::default(), bytes_of(&[b"a ", b"mesh"])).await.unwrap();
+    let mesh = put_mesh(jobs, LOCAL).await.hash;
     let (request_id, file_name) = (request_id.into(), "a.ply".into());
-    NewJob { request_id, mesh: mesh.hash, file_name, spec: Spec::new(vec![5]) }
+    NewJob { owner: LOCAL.into(), request_id, mesh, file_name, spec: Spec::new(vec![5]) }
 }
 
 async fn create(jobs: &Jobs) -> Job {
@@ -173,7 +179,8 @@ async fn a_stale_lease_can_write_nothing(home: Home) {
     jobs.worker_gone("w").await.unwrap();
     for reclaimed in [false, true] {
         if reclaimed {
-            claim(&jobs, "v").await.unwrap();
+            // What was refused may hold the job's row until PostgreSQL has rolled it back.
+            jobs.claim("v", Duration::from_mins(1)).await.unwrap().unwrap();
         }
         let outcome = Outcome::Succeeded(vec![]);
         let refusals = [
@@ -305,6 +312,7 @@ async fn requests_are_idempotent_and_checked_as_a_whole(home: Home) {
     let other = NewJob { spec: Spec::new(vec![6]), ..new };
     assert!(matches!(jobs.create(other, vec![]).await, Err(Error::RequestIdReused(_))));
     let bad = NewJob {
+        owner: LOCAL.into(),
         request_id: "\n".into(),
         mesh: "0".repeat(64),
         file_name: "a/b".into(),
@@ -318,7 +326,7 @@ async fn requests_are_idempotent_and_checked_as_a_whole(home: Home) {
 async fn damaged_transfers_leave_nothing(home: Home) {
     let jobs = home.open().await;
     let announced = Announced { size: 7, hash: String::new() };
-    let short = jobs.put_mesh(announced, bytes_of(&[b"123456"])).await;
+    let short = jobs.put_mesh(LOCAL, announced, bytes_of(&[b"123456"])).await;
     assert!(matches!(short, Err(Error::Corrupt { .. })));
     assert!(!home.dir.path().join("objects/meshes").exists());
     assert_eq!(fs::read_dir(home.dir.path().join("objects/tmp")).unwrap().count(), 0);

@@ -57,6 +57,7 @@ pub fn job_to_wire(job: &Job) -> v1::Job {
         failure: (job.state == State::Failed).then_some(v1::JobFailure { reason, text }),
         stage: job.stage.clone(),
         fraction: job.fraction,
+        owner: job.owner.clone(),
     }
 }
 

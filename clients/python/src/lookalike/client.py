@@ -14,13 +14,12 @@ import uuid
 from collections.abc import Callable, Generator, Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
-from urllib.parse import urlsplit
 
 import grpc
 import trimesh
 from blake3 import blake3
 
-from lookalike import errors, models, spec
+from lookalike import access, errors, models, spec
 from lookalike.run import Run
 from lookalike.v1 import event_pb2, job_pb2, spec_pb2
 from lookalike.v1 import lookalike_service_pb2 as api
@@ -49,14 +48,28 @@ class Client:
 
     `url` is where it listens; `patience_secs` is how long a server that answered once may be away
     before calls give up. May be used by several threads. Connects when first used.
+
+    A server that asks who calls wants a `token` (default: LOOKALIKE_TOKEN of the environment). For
+    https:// addresses, `ca` is the file of the authority of its certificate (default: those that
+    gRPC trusts), `cert` and `key` are the files of a certificate of one's own; all in PEM.
     """
 
-    def __init__(self, url: str = "http://127.0.0.1:7420", *, patience_secs: float = 60.0) -> None:
+    def __init__(
+        self,
+        url: str = "http://127.0.0.1:7420",
+        *,
+        patience_secs: float = 60.0,
+        token: str | None = None,
+        ca: str | os.PathLike[str] | None = None,
+        cert: str | os.PathLike[str] | None = None,
+        key: str | os.PathLike[str] | None = None,
+    ) -> None:
         self.url = url
         self.patience_secs = patience_secs
         self._has_answered = False
-        self._channel = grpc.insecure_channel(_target(url), options=_CHANNEL)
-        self._stub = LookalikeServiceStub(self._channel)
+        self._channel = access.channel(url, _CHANNEL, ca=ca, cert=cert, key=key)
+        token = token or os.environ.get("LOOKALIKE_TOKEN")
+        self._stub = LookalikeServiceStub(access.saying_who(self._channel, token))
 
     def simplify(
         self,
@@ -307,10 +320,3 @@ class _Patience:
 
 def _job_name(job: str) -> str:
     return job if job.startswith("jobs/") else f"jobs/{job}"
-
-
-def _target(url: str) -> str:
-    parts = urlsplit(url)
-    if parts.scheme != "http" or not parts.netloc or parts.path not in ("", "/"):
-        raise ValueError(f"{url!r} is no server address: use a URL such as http://127.0.0.1:7420")
-    return parts.netloc

@@ -1,0 +1,201 @@
+//! Connections: TCP in the clear or under TLS, and the Unix socket of the server's own workers.
+//!
+//! 1. Handshakes run beside each other, each with a deadline: a peer that is slow delays nobody.
+//! 2. Certificates are read again when their files change; connections that are open stay open.
+//! 3. On the Unix socket there are only this server's workers: file modes keep others away.
+
+use std::{
+    fmt, fs, io,
+    net::SocketAddr,
+    os::fd::AsRawFd,
+    path::{Path, PathBuf},
+    pin::Pin,
+    sync::Arc,
+    task::{Context, Poll},
+    time::Duration,
+};
+
+use tokio::{
+    io::{AsyncRead, AsyncWrite, ReadBuf},
+    net::{TcpListener, TcpStream, UnixListener},
+    sync::mpsc,
+    task::JoinSet,
+};
+use tokio_rustls::TlsAcceptor;
+use tonic::transport::server::Connected;
+
+use super::tls::{ServerTls, certificate_names};
+
+/// A handshake may take so long.
+const HANDSHAKE: Duration = Duration::from_secs(10);
+/// Handshakes under way at a time.
+const MAX_HANDSHAKES: usize = 256;
+/// After an error of the socket (no more files, say).
+const PAUSE: Duration = Duration::from_millis(100);
+/// File name of the Unix socket.
+pub const SOCKET: &str = "grpc.sock";
+
+/// Who is at the other end.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Peer {
+    address: Option<SocketAddr>,
+    /// It came over the socket of the server's own workers.
+    pub is_local_worker: bool,
+    /// The DNS names and URIs of its certificate, which was verified.
+    pub certificate_names: Arc<[String]>,
+}
+
+impl fmt::Display for Peer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.address {
+            Some(address) => write!(f, "{address}"),
+            None => f.write_str("local"),
+        }
+    }
+}
+
+/// Where connections come from.
+#[derive(Debug)]
+pub struct Listeners {
+    /// For everybody.
+    pub tcp: TcpListener,
+    /// TLS on the TCP socket.
+    pub tls: Option<ServerTls>,
+    /// For the server's own workers.
+    pub unix: UnixListener,
+}
+
+trait Io: AsyncRead + AsyncWrite + Send {}
+impl<T: AsyncRead + AsyncWrite + Send> Io for T {}
+
+/// A connection that is ready for HTTP.
+pub(super) struct Connection {
+    io: Pin<Box<dyn Io>>,
+    peer: Peer,
+}
+
+impl Connected for Connection {
+    type ConnectInfo = Peer;
+
+    fn connect_info(&self) -> Peer {
+        self.peer.clone()
+    }
+}
+
+impl Listeners {
+    /// Accepts connections for as long as somebody receives them.
+    pub(super) async fn accept(self, ready: mpsc::Sender<io::Result<Connection>>) {
+        let mut handshakes = JoinSet::new();
+        loop {
+            tokio::select! {
+                () = ready.closed() => return,
+                Some(_) = handshakes.join_next() => {}
+                tcp = self.tcp.accept(), if handshakes.len() < MAX_HANDSHAKES => match tcp {
+                    Ok((stream, address)) => {
+                        let acceptor = self.tls.as_ref().map(ServerTls::acceptor);
+                        let ready = ready.clone();
+                        handshakes.spawn(async move {
+                            match shake(stream, address, acceptor).await {
+                                // The server is about to end when nobody receives.
+                                Ok(connection) => drop(ready.send(Ok(connection)).await),
+                                Err(error) => {
+                                    tracing::debug!(%address, %error, "no connection");
+                                }
+                            }
+                        });
+                    }
+                    Err(error) => pause(&error).await,
+                },
+                unix = self.unix.accept() => match unix {
+                    Ok((stream, _)) => {
+                        let peer = Peer { is_local_worker: true, ..Peer::default() };
+                        let connection = Connection { io: Box::pin(stream), peer };
+                        drop(ready.send(Ok(connection)).await);
+                    }
+                    Err(error) => pause(&error).await,
+                },
+            }
+        }
+    }
+}
+
+async fn pause(error: &io::Error) {
+    tracing::warn!(%error, "a connection cannot be accepted");
+    tokio::time::sleep(PAUSE).await;
+}
+
+async fn shake(
+    stream: TcpStream,
+    address: SocketAddr,
+    acceptor: Option<TlsAcceptor>,
+) -> io::Result<Connection> {
+    // Small answers must not wait for the peer's delayed acknowledgement (40 ms).
+    stream.set_nodelay(true)?;
+    let peer = Peer { address: Some(address), ..Peer::default() };
+    let Some(acceptor) = acceptor else {
+        return Ok(Connection { io: Box::pin(stream), peer });
+    };
+    let stream = tokio::time::timeout(HANDSHAKE, acceptor.accept(stream)).await??;
+    let certificate = stream.get_ref().1.peer_certificates().and_then(<[_]>::first);
+    let certificate_names = certificate.map(certificate_names).unwrap_or_default().into();
+    Ok(Connection { io: Box::pin(stream), peer: Peer { certificate_names, ..peer } })
+}
+
+/// Binds the socket of the server's own workers in `folder`, which is closed to everybody else.
+pub fn bind_unix(folder: &Path) -> io::Result<UnixListener> {
+    use std::os::unix::fs::PermissionsExt;
+    let mode = |path: &Path, mode| fs::set_permissions(path, fs::Permissions::from_mode(mode));
+    mode(folder, 0o700)?;
+    let path = folder.join(SOCKET);
+    // Left behind by a server that was killed; the lock of the data directory says that it is gone.
+    match fs::remove_file(&path) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+        _ => {}
+    }
+    // Addresses of Unix sockets are short; the folder's may be long.
+    let handle = fs::File::open(folder)?;
+    let short: PathBuf = format!("/proc/self/fd/{}/{SOCKET}", handle.as_raw_fd()).into();
+    let listener = UnixListener::bind(short)?;
+    mode(&path, 0o600)?;
+    Ok(listener)
+}
+
+impl AsyncRead for Connection {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        buf: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        self.io.as_mut().poll_read(cx, buf)
+    }
+}
+
+impl AsyncWrite for Connection {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<io::Result<usize>> {
+        self.io.as_mut().poll_write(cx, bytes)
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        self.io.as_mut().poll_flush(cx)
+    }
+
+    fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        self.io.as_mut().poll_shutdown(cx)
+    }
+
+    fn poll_write_vectored(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        bytes: &[io::IoSlice<'_>],
+    ) -> Poll<io::Result<usize>> {
+        self.io.as_mut().poll_write_vectored(cx, bytes)
+    }
+
+    fn is_write_vectored(&self) -> bool {
+        self.io.is_write_vectored()
+    }
+}

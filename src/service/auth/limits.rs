@@ -1,0 +1,105 @@
+//! How much one principal may ask for at once: requests a second, and open streams.
+//!
+//! Workers are not counted: what they ask follows from the jobs that were accepted.
+
+use std::{
+    collections::HashMap,
+    num::NonZeroU32,
+    sync::{Arc, Mutex, PoisonError},
+    time::Duration,
+};
+
+use governor::{
+    DefaultKeyedRateLimiter, Quota, RateLimiter,
+    clock::{Clock, DefaultClock},
+};
+
+/// Principals whose buckets are full again are forgotten when there are more than this.
+const MANY: usize = 10_000;
+
+/// Caps on what one principal may ask for at once.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Rates {
+    /// Requests a second; twice as many may come at once.
+    pub requests_per_sec: NonZeroU32,
+    /// Uploads, downloads and logs that are open at a time.
+    pub max_streams: usize,
+}
+
+/// Counts requests and streams by owner and name.
+#[derive(Debug)]
+pub(super) struct Limiter {
+    rates: Rates,
+    requests: DefaultKeyedRateLimiter<String>,
+    streams: Arc<Mutex<HashMap<String, usize>>>,
+}
+
+/// An open stream, until it is dropped.
+#[derive(Debug)]
+pub(super) struct OpenStream {
+    key: String,
+    streams: Arc<Mutex<HashMap<String, usize>>>,
+}
+
+impl Limiter {
+    pub(super) fn new(rates: Rates) -> Self {
+        let burst = rates.requests_per_sec.saturating_mul(NonZeroU32::MIN.saturating_add(1));
+        let quota = Quota::per_second(rates.requests_per_sec).allow_burst(burst);
+        Self { rates, requests: RateLimiter::keyed(quota), streams: Arc::default() }
+    }
+
+    /// Counts a request; the time to wait when it is one too many.
+    pub(super) fn request(&self, key: &str) -> Result<(), Duration> {
+        if self.requests.len() > MANY {
+            self.requests.retain_recent();
+        }
+        let clock = DefaultClock::default();
+        let checked = self.requests.check_key(&key.to_owned());
+        checked.map_err(|early| early.wait_time_from(clock.now()))
+    }
+
+    /// Counts a stream as long as the answer lives; how many may be open when it is one too many.
+    pub(super) fn stream(&self, key: &str) -> Result<OpenStream, usize> {
+        let mut streams = self.streams.lock().unwrap_or_else(PoisonError::into_inner);
+        let open = streams.entry(key.to_owned()).or_default();
+        if *open >= self.rates.max_streams {
+            return Err(self.rates.max_streams);
+        }
+        *open += 1;
+        Ok(OpenStream { key: key.to_owned(), streams: Arc::clone(&self.streams) })
+    }
+}
+
+impl Drop for OpenStream {
+    fn drop(&mut self) {
+        let mut streams = self.streams.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(open) = streams.get_mut(&self.key) {
+            *open -= 1;
+            if *open == 0 {
+                streams.remove(&self.key);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_principal_has_its_own_share() {
+        let requests_per_sec = NonZeroU32::new(2).unwrap();
+        let limiter = Limiter::new(Rates { requests_per_sec, max_streams: 1 });
+        for _ in 0..4 {
+            limiter.request("ann").unwrap();
+        }
+        let wait = limiter.request("ann").unwrap_err();
+        assert!(wait > Duration::ZERO && wait <= Duration::from_millis(500), "{wait:?}");
+        limiter.request("bob").unwrap();
+        let open = limiter.stream("ann").unwrap();
+        assert_eq!(limiter.stream("ann").unwrap_err(), 1);
+        drop((open, limiter.stream("bob").unwrap()));
+        limiter.stream("ann").unwrap();
+        assert!(limiter.streams.lock().unwrap().is_empty());
+    }
+}
