@@ -90,7 +90,10 @@ pub fn alternate<E: From<OptimizeError>>(
         run.outcome.energy_after = show(0, mesh)?.energy();
     }
     run.n_turns += 1;
-    if run.sample(mesh, on).is_break() {
+    // What moves have done is told even where nothing of it was kept.
+    let is_broken = run.sample(mesh, on).is_break()
+        || !run.outcome.moves.is_empty() && on(Step::Moves(&run.outcome.moves)).is_break();
+    if is_broken {
         run.outcome.stopped_by = StoppedBy::Caller;
     }
     Ok(run.outcome)
