@@ -54,7 +54,14 @@ pub(crate) async fn run(args: ServeArgs) -> Result<(), Failure> {
     let (stop_workers, stop_serving) = (CancellationToken::new(), CancellationToken::new());
     let refresh = refresh(jobs.clone(), Arc::clone(&observer));
     let observing = Arc::clone(&observer);
-    let grpc = server::serve(listeners, gate, jobs.clone(), observing, stop_serving.clone());
+    let grpc = server::serve(
+        listeners,
+        gate,
+        config.guard.origins.clone(),
+        jobs.clone(),
+        observing,
+        stop_serving.clone(),
+    );
     let http = telemetry::serve_metrics(metrics, page, refresh, stop_serving.clone());
     let crew = crew(&config);
     let workers = async {

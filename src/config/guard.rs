@@ -6,6 +6,7 @@ use clap::{Args, ValueEnum};
 use lookalike::service::{
     auth::{Credentials, JwtRules, Rates},
     tls::TlsFiles,
+    web::Origin,
 };
 
 /// A port.
@@ -48,6 +49,9 @@ pub(crate) struct GuardArgs {
     /// The authorities of client certificates, in PEM; --tokens says who is who.
     #[arg(long, env = "LOOKALIKE_TLS_CLIENT_CA", value_name = "FILE")]
     tls_client_ca: Option<PathBuf>,
+    /// Let pages of this origin, https://HOST or https://HOST:PORT, call from a browser.
+    #[arg(long, env = "LOOKALIKE_ALLOW_ORIGIN", value_delimiter = ',', value_name = "ORIGIN")]
+    allow_origin: Vec<Origin>,
     /// Let this port be reached from other machines without TLS and authentication.
     #[arg(long, env = "LOOKALIKE_INSECURE_LISTEN", value_delimiter = ',', value_name = "PORT")]
     insecure_listen: Vec<Port>,
@@ -65,6 +69,8 @@ pub(crate) struct Guard {
     pub(crate) credentials: Credentials,
     pub(crate) tls: Option<TlsFiles>,
     pub(crate) rates: Rates,
+    /// Pages that may call from a browser.
+    pub(crate) origins: Vec<Origin>,
     /// Ports that anybody can reach.
     pub(crate) exposed: Vec<Port>,
 }
@@ -110,7 +116,7 @@ impl GuardArgs {
         }
         let rates =
             Rates { requests_per_sec: self.max_requests_per_sec, max_streams: self.max_streams };
-        Guard { credentials, tls, rates, exposed }
+        Guard { credentials, tls, rates, origins: self.allow_origin, exposed }
     }
 
     fn tls(&self, faults: &mut Vec<String>) -> Option<TlsFiles> {

@@ -1,4 +1,4 @@
-//! gRPC: thin adapters between the wire and [`crate::jobs`].
+//! gRPC, gRPC-Web and HTTP/JSON: thin adapters between the wire and [`crate::jobs`].
 //!
 //! 1. A handler is: read the request, call [`Jobs`](crate::jobs::Jobs), convert the answer.
 //! 2. Wire types stop in `convert/`; errors become statuses in `status.rs` and nowhere else.
@@ -17,6 +17,7 @@ pub mod proto;
 pub mod server;
 pub mod status;
 pub mod tls;
+pub mod web;
 
 mod api;
 mod transfer;

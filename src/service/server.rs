@@ -1,4 +1,4 @@
-//! The gRPC server: both APIs, health and reflection on one port, until told to stop.
+//! The server: both gRPC APIs, gRPC-Web, HTTP/JSON, health and reflection on one port, until told to stop.
 
 use std::{sync::Arc, time::Duration};
 
@@ -7,6 +7,8 @@ use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tokio_util::sync::CancellationToken;
 use tonic::transport::Server;
+use tonic_web::GrpcWebLayer;
+use tower::util::option_layer;
 
 use super::{
     accept::Listeners,
@@ -17,6 +19,7 @@ use super::{
         DESCRIPTORS, v1::lookalike_service_server::LookalikeServiceServer,
         worker::v1::worker_service_server::WorkerServiceServer,
     },
+    web::{Hosts, Origin, WebLayer, cross_origin},
     worker_api::WorkerApi,
 };
 use crate::jobs::Jobs;
@@ -30,32 +33,38 @@ pub enum ServeError {
     /// The protos and the binary disagree.
     #[error("the reflection service cannot be built: {0}")]
     Reflection(#[from] tonic_reflection::server::Error),
+    /// The same.
+    #[error("the HTTP/JSON routes cannot be built: {0}")]
+    Descriptors(#[from] prost_reflect::DescriptorError),
     /// The socket failed.
     #[error("the gRPC socket failed: {0}")]
     Transport(#[from] tonic::transport::Error),
 }
 
-/// Serves `jobs` on `listeners`, behind `gate`, until `shutdown`, then waits for open calls. Give it a deadline from
+/// Serves `jobs` on `listeners`, behind `gate`, also to pages of these `origins`, until `shutdown`, then waits for open calls. Give it a deadline from
 /// outside: peers that never close can hold hyper's graceful shutdown for an hour.
 ///
 /// Boxed, so that the server is compiled with this crate and not again with every user of it.
 pub fn serve(
     listeners: Listeners,
     gate: Gate,
+    origins: Vec<Origin>,
     jobs: Jobs,
     observer: Arc<Observer>,
     shutdown: CancellationToken,
 ) -> BoxFuture<'static, Result<(), ServeError>> {
-    Box::pin(run(listeners, gate, jobs, observer, shutdown))
+    Box::pin(run(listeners, gate, origins, jobs, observer, shutdown))
 }
 
 async fn run(
     listeners: Listeners,
     gate: Gate,
+    origins: Vec<Origin>,
     jobs: Jobs,
     observer: Arc<Observer>,
     shutdown: CancellationToken,
 ) -> Result<(), ServeError> {
+    let web = WebLayer::new(Hosts::new(gate.asks(), &origins))?;
     let gate = GateLayer::new(Arc::new(gate), jobs.clone());
     let api =
         Api { jobs: jobs.clone(), shutdown: shutdown.clone(), observer: Arc::clone(&observer) };
@@ -73,6 +82,10 @@ async fn run(
         .http2_keepalive_interval(Some(Duration::from_secs(20)))
         .http2_keepalive_timeout(Some(Duration::from_secs(20)))
         .max_connection_age(Duration::from_hours(1))
+        .accept_http1(true)
+        .layer(option_layer(cross_origin(&origins)))
+        .layer(web)
+        .layer(GrpcWebLayer::new())
         .layer(gate)
         .add_service(health_service)
         .add_service(reflection)

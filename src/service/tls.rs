@@ -67,7 +67,7 @@ fn config(contents: &[Vec<u8>]) -> Result<ServerConfig, String> {
         }
     };
     let mut config = clients.with_single_cert(chain, key).map_err(|error| error.to_string())?;
-    config.alpn_protocols = vec![b"h2".to_vec()];
+    config.alpn_protocols = vec![b"h2".to_vec(), b"http/1.1".to_vec()];
     Ok(config)
 }
 

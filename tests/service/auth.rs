@@ -52,20 +52,20 @@ fn jwt(folder: &Path, exp: u64) -> String {
 }
 
 /// A server that asks who calls, and one caller of each kind.
-struct Guarded {
-    server: Server,
+pub(crate) struct Guarded {
+    pub(crate) server: Server,
     folder: TempDir,
     /// In the order of the table's columns.
-    tokens: [Option<String>; 8],
+    pub(crate) tokens: [Option<String>; 8],
 }
 
-const CALLERS: [&str; 8] =
+pub(crate) const CALLERS: [&str; 8] =
     ["anonymous", "wrong token", "expired JWT", "bob", "viewer", "ann", "worker", "admin"];
-const ANN: usize = 5;
+pub(crate) const ANN: usize = 5;
 const WORKER: usize = 6;
 
 impl Guarded {
-    fn start(flags: &[&str]) -> Self {
+    pub(crate) fn start(flags: &[&str]) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let at = folder.path();
         let tokens = [
@@ -90,7 +90,7 @@ impl Guarded {
         connection(&self.server.url, &Access { token, ..Access::default() }).unwrap()
     }
 
-    fn client(&self, caller: usize) -> Client {
+    pub(crate) fn client(&self, caller: usize) -> Client {
         LookalikeServiceClient::new(self.connection(caller))
     }
 
@@ -99,14 +99,14 @@ impl Guarded {
     }
 
     /// A job of Ann's that waits.
-    async fn queued(&self) -> String {
+    pub(crate) async fn queued(&self) -> String {
         let mut ann = self.client(ANN);
         let mesh = upload_as(&mut ann, small_torus()).await;
         ann.create_job(create_request(&mesh, "")).await.unwrap().into_inner().job.unwrap().name
     }
 
     /// A job of Ann's that a worker has ended, with a result.
-    async fn done(&self) -> String {
+    pub(crate) async fn done(&self) -> String {
         let name = self.queued().await;
         let mut worker = self.worker(WORKER);
         let claimed = worker.claim(claim("done")).await.unwrap().into_inner();
@@ -223,7 +223,7 @@ const I: Code = Code::InvalidArgument;
 const F: Code = Code::FailedPrecondition;
 
 #[rustfmt::skip]
-const PUBLIC: [(&str, [Code; 8]); 9] = [
+pub(crate) const PUBLIC: [(&str, [Code; 8]); 9] = [
     // method          anonymous wrong expired bob viewer ann worker admin
     ("UploadMesh",    [U, U, U, O, P, O, P, O]),
     ("CreateJob",     [U, U, U, I, P, O, P, I]),

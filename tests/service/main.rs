@@ -26,4 +26,5 @@ mod s3;
 mod support;
 mod tls;
 mod torture;
+mod web;
 mod workers;
