@@ -1,5 +1,5 @@
-//! The configuration of a server, read once from the command line and the environment, and checked
-//! as a whole: every fault is reported at once.
+//! The configuration of a server, read once from a file, the environment and the command line
+//! (`settings.rs`), and checked as a whole: every fault is reported at once.
 
 use std::{
     net::SocketAddr,
@@ -8,16 +8,23 @@ use std::{
 };
 
 mod guard;
+mod settings;
 
 use clap::Args;
 use lookalike::jobs::{Limits, Places, blobs::BucketName, lease::Terms, store::Address};
 
-pub(crate) use self::guard::Port;
 use self::guard::{Guard, GuardArgs};
+pub(crate) use self::{guard::Port, settings::Settings};
 
-/// Flags of `lookalike serve`. Each can also be given as an environment variable.
+/// Flags of `lookalike serve`. Each can also be given as an environment variable, or in a file.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct ServeArgs {
+    /// A file of settings (TOML): the flags below by name, `_` for `-`, in a table [serve].
+    #[arg(long, env = "LOOKALIKE_CONFIG", value_name = "FILE")]
+    pub(crate) config: Option<PathBuf>,
+    /// Show all settings and where each is from, without secrets, and end.
+    #[arg(long)]
+    pub(crate) print_config: bool,
     /// Where to listen for gRPC: an address and a port.
     #[arg(long, env = "LOOKALIKE_LISTEN", default_value = "127.0.0.1:7420")]
     pub(crate) listen: SocketAddr,

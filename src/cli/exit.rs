@@ -8,6 +8,8 @@ use lookalike::service::{
 };
 use tonic::Status;
 
+use crate::config::Settings;
+
 /// Exit codes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
@@ -37,6 +39,15 @@ impl Failure {
     /// Several faults, one a line.
     pub(crate) fn faults(faults: &[String]) -> Self {
         Self::new(Exit::Usage, faults.join("\n"))
+    }
+
+    /// Adds to faults of settings where these were set.
+    pub(crate) fn at(self, settings: &Settings) -> Self {
+        if self.exit != Exit::Usage {
+            return self;
+        }
+        let lines = format!("{:#}", self.error);
+        Self::faults(&lines.lines().map(|line| settings.with_places(line)).collect::<Vec<_>>())
     }
 
     /// Tells the person at the terminal.

@@ -32,6 +32,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 use lookalike::telemetry;
 
 use self::exit::Failure;
+use crate::config::Settings;
 
 /// Levels of detail that look alike: image-driven mesh simplification.
 #[derive(Parser, Debug)]
@@ -82,11 +83,40 @@ enum Command {
 
 /// Reads the command line, runs the command, reports its error.
 pub(crate) async fn run() -> ExitCode {
-    let cli = Cli::parse();
-    init_logs(&cli.command);
-    match dispatch(cli.command).await {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => failure.report(),
+    let root = Cli::command();
+    let settings =
+        Settings::gather(&root, std::env::args_os().collect(), |name| std::env::var_os(name));
+    match Cli::try_parse_from(&settings.argv) {
+        Ok(cli) if settings.faults.is_empty() => {
+            init_logs(&cli.command);
+            let ran = if cli.command.shows_settings() {
+                cli.command.check().map(|()| show::print(&settings.show(&root)))
+            } else {
+                dispatch(cli.command).await
+            };
+            ran.map_or_else(|failure| failure.at(&settings).report(), |()| ExitCode::SUCCESS)
+        }
+        Err(error) if settings.faults.is_empty() => error.exit(),
+        _ => Failure::faults(&settings.faults).report(),
+    }
+}
+
+impl Command {
+    /// Only the settings are asked for.
+    fn shows_settings(&self) -> bool {
+        match self {
+            Self::Serve(args) => args.print_config,
+            Self::Worker(args) => args.print_config,
+            _ => false,
+        }
+    }
+
+    /// Whether the settings are sound as a whole.
+    fn check(self) -> Result<(), Failure> {
+        match self {
+            Self::Serve(args) => args.check().map(drop).map_err(|faults| Failure::faults(&faults)),
+            _ => Ok(()),
+        }
     }
 }
 

@@ -19,6 +19,12 @@ use super::{
 /// Flags of `lookalike worker`.
 #[derive(Args, Debug)]
 pub(crate) struct WorkerArgs {
+    /// A file of settings (TOML): the flags below by name, `_` for `-`, in a table [worker].
+    #[arg(long, env = "LOOKALIKE_CONFIG", value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Show all settings and where each is from, without secrets, and end.
+    #[arg(long)]
+    pub(crate) print_config: bool,
     /// The server's URL, or unix:PATH for its socket.
     #[arg(
         long,
@@ -34,7 +40,7 @@ pub(crate) struct WorkerArgs {
     #[arg(long)]
     id: Option<String>,
     /// A folder for the files of the job at work; it is emptied.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, env = "LOOKALIKE_SCRATCH", value_name = "DIR")]
     scratch: Option<PathBuf>,
     /// A file to hold locked as long as this process lives.
     #[arg(long, value_name = "FILE", hide = true)]
@@ -43,18 +49,18 @@ pub(crate) struct WorkerArgs {
     #[arg(long, hide = true)]
     supervised: bool,
     /// End when the server does not answer for so many seconds.
-    #[arg(long, default_value_t = 60, value_name = "SECS")]
+    #[arg(long, env = "LOOKALIKE_GIVE_UP_SECS", default_value_t = 60, value_name = "SECS")]
     give_up_secs: u64,
     /// Memory of this process, in MiB; it ends when it needs more. 0 for no limit.
-    #[arg(long, default_value_t = 0, value_name = "MIB")]
+    #[arg(long, env = "LOOKALIKE_WORKER_MEMORY_MIB", default_value_t = 0, value_name = "MIB")]
     memory_mib: u64,
     /// Processor time of a job, all threads together; 0 for no limit.
-    #[arg(long, default_value_t = 0, value_name = "SECS")]
+    #[arg(long, env = "LOOKALIKE_WORKER_CPU_SECS", default_value_t = 0, value_name = "SECS")]
     cpu_secs: u64,
     #[command(flatten)]
     access: AccessArgs,
     /// Log in JSON, one object a line.
-    #[arg(long)]
+    #[arg(long, env = "LOOKALIKE_LOG_JSON")]
     pub(crate) log_json: bool,
 }
 

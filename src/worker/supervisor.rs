@@ -144,8 +144,16 @@ impl Crew {
 
 /// What workers must not find in their environment: settings that make lavapipe abort, and the ways
 /// into the database, the bucket and other servers, which are not theirs.
-const WITHHELD: [&str; 6] =
-    ["LP_", "AWS_", "PG", "LOOKALIKE_DATABASE", "LOOKALIKE_OBJECTS", "LOOKALIKE_TOKEN"];
+const WITHHELD: [&str; 8] = [
+    "LP_",
+    "AWS_",
+    "PG",
+    "LOOKALIKE_CONFIG",
+    "LOOKALIKE_DATABASE",
+    "LOOKALIKE_OBJECTS",
+    "LOOKALIKE_TOKEN",
+    "LOOKALIKE_WEBHOOK",
+];
 
 fn is_withheld(variable: &str) -> bool {
     WITHHELD.iter().any(|prefix| variable.starts_with(prefix))
@@ -172,6 +180,7 @@ mod tests {
             "AWS_SECRET_ACCESS_KEY",
             "LOOKALIKE_DATABASE",
             "LOOKALIKE_TOKEN",
+            "LOOKALIKE_WEBHOOK_SECRET",
         ] {
             assert!(is_withheld(withheld), "{withheld}");
         }

@@ -23,6 +23,7 @@ mod postgres;
 mod processes;
 #[path = "../stores/s3.rs"]
 mod s3;
+mod settings;
 mod support;
 mod tls;
 mod torture;
