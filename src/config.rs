@@ -9,12 +9,19 @@ use std::{
 
 mod guard;
 mod settings;
+mod webhooks;
 
 use clap::Args;
-use lookalike::jobs::{Limits, Places, blobs::BucketName, lease::Terms, store::Address};
+use lookalike::{
+    jobs::{Limits, Places, blobs::BucketName, lease::Terms, store::Address},
+    service::webhook::WebhookRules,
+};
 
-use self::guard::{Guard, GuardArgs};
 pub(crate) use self::{guard::Port, settings::Settings};
+use self::{
+    guard::{Guard, GuardArgs},
+    webhooks::WebhookArgs,
+};
 
 /// Flags of `lookalike serve`. Each can also be given as an environment variable, or in a file.
 #[derive(Args, Clone, Debug)]
@@ -80,6 +87,8 @@ pub(crate) struct ServeArgs {
     pub(crate) log_json: bool,
     #[command(flatten)]
     pub(crate) guard: GuardArgs,
+    #[command(flatten)]
+    webhooks: WebhookArgs,
 }
 
 /// Where jobs and bytes are kept when not in the data directory.
@@ -125,6 +134,7 @@ pub(crate) struct ServeConfig {
     pub(crate) terms: Terms,
     pub(crate) limits: Limits,
     pub(crate) guard: Guard,
+    pub(crate) webhooks: WebhookRules,
     pub(crate) worker_memory_mib: u64,
     pub(crate) worker_cpu_secs: u64,
     pub(crate) drain: Duration,
@@ -151,6 +161,7 @@ impl ServeArgs {
         if self.max_attempts == 0 {
             faults.push("--max-attempts 0: use at least 1".into());
         }
+        let webhooks = self.webhooks.check(&mut faults);
         let places = self.stores.places(&self.data_dir, &mut faults);
         if !faults.is_empty() {
             return Err(faults);
@@ -171,6 +182,7 @@ impl ServeArgs {
                 ..Limits::default()
             },
             guard,
+            webhooks,
             worker_memory_mib: self.worker_memory_mib,
             worker_cpu_secs: self.worker_cpu_secs,
             drain,
@@ -226,9 +238,11 @@ mod tests {
             "--max-attempts=0",
             "--database=mysql://u:secret@h/db",
             "--objects=farm",
+            "--webhook-secret=whsec_secret",
+            "--webhook-url=http://hooks.test/",
         ]);
         let faults = faults.unwrap_err();
-        assert_eq!(faults.len(), 8, "{faults:#?}");
+        assert_eq!(faults.len(), 10, "{faults:#?}");
         assert!(!faults.concat().contains("secret"), "{faults:#?}");
         assert!(faults[0].contains("give --tls-cert, --tls-key and --tokens"));
     }

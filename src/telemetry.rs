@@ -22,7 +22,7 @@ pub fn init_logs(level: &str, filter: Option<&str>, json: bool) {
     let filter = filter.unwrap_or_else(|_| EnvFilter::new(level));
     let logs = tracing_subscriber::fmt().with_env_filter(filter).with_writer(io::stderr);
     let set = if json {
-        logs.json().flatten_event(true).try_init()
+        logs.json().flatten_event(true).with_span_list(false).try_init()
     } else {
         logs.with_target(false).with_ansi(io::stderr().is_terminal()).try_init()
     };

@@ -72,7 +72,7 @@ const MAY_IMPORT: [(&str, &[&str]); 18] = [
 
 /// External crate → the only modules that may name it. Wire stubs live in `service`; the worker
 /// speaks to a server through them, and the command line is a client.
-const SOLE_OWNERS: [(&str, &[&str]); 23] = [
+const SOLE_OWNERS: [(&str, &[&str]); 24] = [
     ("basisu", &["io"]),
     ("draco_core", &["io"]),
     ("gltf", &["io"]),
@@ -89,6 +89,7 @@ const SOLE_OWNERS: [(&str, &[&str]); 23] = [
     ("tonic", &["service", "worker", "cli"]),
     ("prost", &["service", "worker", "cli"]),
     ("prost_reflect", &["service"]),
+    ("reqwest", &["service"]),
     ("tonic_web", &["service"]),
     ("tower_http", &["service"]),
     ("tokio_rustls", &["service"]),

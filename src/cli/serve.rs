@@ -12,8 +12,9 @@ use lookalike::{
         accept::{self, Listeners},
         auth::Gate,
         observe::Observer,
-        server,
+        server::{self, Doors},
         tls::ServerTls,
+        webhook,
     },
     telemetry,
     worker::supervisor::Crew,
@@ -54,14 +55,10 @@ pub(crate) async fn run(args: ServeArgs) -> Result<(), Failure> {
     let (stop_workers, stop_serving) = (CancellationToken::new(), CancellationToken::new());
     let refresh = refresh(jobs.clone(), Arc::clone(&observer));
     let observing = Arc::clone(&observer);
-    let grpc = server::serve(
-        listeners,
-        gate,
-        config.guard.origins.clone(),
-        jobs.clone(),
-        observing,
-        stop_serving.clone(),
-    );
+    let (origins, webhooks) = (config.guard.origins.clone(), config.webhooks.clone());
+    let doors = Doors { gate, origins, webhooks: webhooks.clone() };
+    let grpc = server::serve(listeners, doors, jobs.clone(), observing, stop_serving.clone());
+    let calls = webhook::run(jobs.clone(), webhooks, stop_serving.clone());
     let http = telemetry::serve_metrics(metrics, page, refresh, stop_serving.clone());
     let crew = crew(&config);
     let workers = async {
@@ -75,6 +72,7 @@ pub(crate) async fn run(args: ServeArgs) -> Result<(), Failure> {
         tokio::try_join!(
             async { grpc.await.context("gRPC") },
             async { http.await.context("metrics") },
+            async { calls.await.context("webhooks") },
             workers,
             sweep(&jobs, &observer, config.terms.lease, &stop_serving),
         )

@@ -32,6 +32,9 @@ pub(crate) struct SubmitArgs {
     /// Names this request: sending it again finds the job it made. Default: a new name.
     #[arg(long, value_name = "ID")]
     request_id: Option<String>,
+    /// Called when the job has ended; the server names the hosts that may be.
+    #[arg(long, value_name = "URL", default_value = "", hide_default_value = true)]
+    webhook: String,
     #[command(flatten)]
     job: JobArgs,
     #[command(flatten)]
@@ -40,7 +43,12 @@ pub(crate) struct SubmitArgs {
 
 pub(crate) async fn run(args: SubmitArgs) -> Result<(), Failure> {
     let spec = args.job.spec()?;
-    let request = Request { id: args.request_id, out: args.out, no_wait: args.no_wait };
+    let request = Request {
+        id: args.request_id,
+        out: args.out,
+        no_wait: args.no_wait,
+        webhook: args.webhook,
+    };
     submit(&args.server, &args.file, None, spec, request).await
 }
 
@@ -53,6 +61,8 @@ pub(crate) struct Request {
     pub(crate) out: Option<PathBuf>,
     /// Do not wait for the end.
     pub(crate) no_wait: bool,
+    /// Called when the job has ended; empty for nobody.
+    pub(crate) webhook: String,
 }
 
 /// Uploads the original, and what it was simplified to where that is to be optimized; creates the
@@ -77,7 +87,14 @@ pub(crate) async fn submit(
         spec.simplified = Some(Input { mesh, file_name });
     }
     let request_id = request.id.unwrap_or_else(|| uuid::Uuid::new_v4().to_string());
-    let job = create(&remote, request_id, mesh, original, &spec).await?;
+    let wanted = v1::CreateJobRequest {
+        request_id,
+        mesh,
+        file_name: file_name(original),
+        spec: Some(convert::spec_to_wire(&spec)),
+        webhook_url: request.webhook,
+    };
+    let job = create(&remote, wanted).await?;
     if request.no_wait {
         show::print(&format!("{}\n", job.name));
         return Ok(());
@@ -116,16 +133,7 @@ async fn wait(remote: &Remote, job: &str) -> Result<(), Failure> {
     end
 }
 
-async fn create(
-    remote: &Remote,
-    request_id: String,
-    mesh: String,
-    file: &Path,
-    spec: &Spec,
-) -> Result<v1::Job, Failure> {
-    let file_name = file_name(file);
-    let spec = Some(convert::spec_to_wire(spec));
-    let request = v1::CreateJobRequest { request_id, mesh, file_name, spec };
+async fn create(remote: &Remote, request: v1::CreateJobRequest) -> Result<v1::Job, Failure> {
     let answer = remote.call(|mut client| {
         let request = request.clone();
         async move { client.create_job(request).await }

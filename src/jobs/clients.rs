@@ -243,7 +243,14 @@ mod tests {
         let input = Input { mesh: crude.clone(), file_name: "crude.ply".into() };
         let (file_name, spec) = ("a.ply".into(), Spec::optimizing(input));
         let (owner, request_id) = (LOCAL.into(), String::new());
-        let new = NewJob { owner, request_id, mesh: used.clone(), file_name, spec };
+        let new = NewJob {
+            owner,
+            request_id,
+            mesh: used.clone(),
+            file_name,
+            spec,
+            webhook: String::new(),
+        };
         jobs.create(new, vec![]).await.unwrap();
         jobs.close().await;
         drop(jobs);

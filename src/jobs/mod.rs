@@ -15,7 +15,7 @@
 //! 3. Every write of a worker is conditional on its lease.
 //!
 //! `clients.rs`, `attempts.rs` and `follow.rs` hold what clients, workers and watchers ask for;
-//! `owners.rs` what of that a principal may see.
+//! `owners.rs` what of that a principal may see; `webhooks.rs` who is told of the end.
 
 pub mod audit;
 pub mod blobs;
@@ -32,6 +32,7 @@ pub mod signals;
 pub mod spec;
 pub mod state;
 pub mod store;
+pub mod webhooks;
 
 mod attempts;
 

@@ -154,7 +154,14 @@ mod tests {
     fn job_on(mesh: &str, request_id: &str) -> NewJob {
         let (owner, file_name) = (String::new(), "a.ply".into());
         let spec = Spec::new(vec![5]);
-        NewJob { owner, request_id: request_id.into(), mesh: mesh.into(), file_name, spec }
+        NewJob {
+            owner,
+            request_id: request_id.into(),
+            mesh: mesh.into(),
+            file_name,
+            spec,
+            webhook: String::new(),
+        }
     }
 
     /// What a refusal says, with the name of the thing taken out.

@@ -10,11 +10,13 @@ use tonic::{Request, Response, Status, Streaming};
 
 use super::{
     auth::call_of, convert, observe::Observer, proto::v1, status, status::status_of, transfer,
+    webhook::WebhookRules,
 };
 use crate::jobs::{
     Jobs,
     clients::{Announced, StoredMesh},
     error::Error,
+    spec::Fault,
     state::State,
     store::NewJob,
 };
@@ -32,6 +34,8 @@ pub(super) struct Api {
     pub shutdown: CancellationToken,
     /// Counts what happens.
     pub observer: Arc<Observer>,
+    /// Whom jobs may have called.
+    pub webhooks: Arc<WebhookRules>,
 }
 
 type BoxStream<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
@@ -70,13 +74,17 @@ impl v1::lookalike_service_server::LookalikeService for Api {
     ) -> Result<Response<v1::CreateJobResponse>, Status> {
         let call = call_of(&request)?;
         let request = request.into_inner();
-        let (spec, faults) = convert::spec_from_wire(request.spec);
+        let (spec, mut faults) = convert::spec_from_wire(request.spec);
+        let asked = Some(&request.webhook_url).filter(|url| !url.is_empty());
+        let fault = asked.and_then(|url| self.webhooks.fault(url));
+        faults.extend(fault.map(|text| Fault { field: "webhook_url".into(), text }));
         let new = NewJob {
             owner: call.who.owner.clone(),
             request_id: request.request_id,
             mesh: convert::mesh_hash(&request.mesh),
             file_name: request.file_name,
             spec,
+            webhook: self.webhooks.url_for(request.webhook_url),
         };
         let spec = new.spec.clone();
         let on_wire = |mut error: Error| {

@@ -18,7 +18,9 @@ pub mod server;
 pub mod status;
 pub mod tls;
 pub mod web;
+pub mod webhook;
 
 mod api;
+mod call_name;
 mod transfer;
 mod worker_api;

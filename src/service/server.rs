@@ -20,6 +20,7 @@ use super::{
         worker::v1::worker_service_server::WorkerServiceServer,
     },
     web::{Hosts, Origin, WebLayer, cross_origin},
+    webhook::WebhookRules,
     worker_api::WorkerApi,
 };
 use crate::jobs::Jobs;
@@ -41,33 +42,47 @@ pub enum ServeError {
     Transport(#[from] tonic::transport::Error),
 }
 
-/// Serves `jobs` on `listeners`, behind `gate`, also to pages of these `origins`, until `shutdown`, then waits for open calls. Give it a deadline from
+/// Who may come in, and who may be called.
+#[derive(Debug)]
+pub struct Doors {
+    /// Lets calls in, or not.
+    pub gate: Gate,
+    /// Pages that may call from a browser.
+    pub origins: Vec<Origin>,
+    /// Whom jobs may have called.
+    pub webhooks: WebhookRules,
+}
+
+/// Serves `jobs` on `listeners`, behind `doors`, until `shutdown`, then waits for open calls. Give it a deadline from
 /// outside: peers that never close can hold hyper's graceful shutdown for an hour.
 ///
 /// Boxed, so that the server is compiled with this crate and not again with every user of it.
 pub fn serve(
     listeners: Listeners,
-    gate: Gate,
-    origins: Vec<Origin>,
+    doors: Doors,
     jobs: Jobs,
     observer: Arc<Observer>,
     shutdown: CancellationToken,
 ) -> BoxFuture<'static, Result<(), ServeError>> {
-    Box::pin(run(listeners, gate, origins, jobs, observer, shutdown))
+    Box::pin(run(listeners, doors, jobs, observer, shutdown))
 }
 
 async fn run(
     listeners: Listeners,
-    gate: Gate,
-    origins: Vec<Origin>,
+    doors: Doors,
     jobs: Jobs,
     observer: Arc<Observer>,
     shutdown: CancellationToken,
 ) -> Result<(), ServeError> {
+    let Doors { gate, origins, webhooks } = doors;
     let web = WebLayer::new(Hosts::new(gate.asks(), &origins))?;
     let gate = GateLayer::new(Arc::new(gate), jobs.clone());
-    let api =
-        Api { jobs: jobs.clone(), shutdown: shutdown.clone(), observer: Arc::clone(&observer) };
+    let api = Api {
+        jobs: jobs.clone(),
+        shutdown: shutdown.clone(),
+        observer: Arc::clone(&observer),
+        webhooks: Arc::new(webhooks),
+    };
     let worker_api = WorkerApi { jobs, shutdown: shutdown.clone(), observer };
     let (health, health_service) = tonic_health::server::health_reporter();
     health.set_serving::<LookalikeServiceServer<Api>>().await;

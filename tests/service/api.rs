@@ -85,6 +85,7 @@ async fn every_fault_of_a_request_is_listed() {
         mesh: format!("meshes/{}", "0".repeat(64)),
         file_name: String::new(),
         spec: Some(spec_to_wire(&spec)),
+        webhook_url: String::new(),
     };
     let status = server.client().create_job(request).await.unwrap_err();
     assert_eq!(status.code(), Code::InvalidArgument);

@@ -28,4 +28,5 @@ mod support;
 mod tls;
 mod torture;
 mod web;
+mod webhooks;
 mod workers;

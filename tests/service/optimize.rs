@@ -28,6 +28,7 @@ fn request(original: &str, simplified: &str) -> v1::CreateJobRequest {
         mesh: original.into(),
         file_name: "torus.ply".into(),
         spec: Some(spec_to_wire(&spec)),
+        webhook_url: String::new(),
     }
 }
 

@@ -296,6 +296,7 @@ pub(crate) fn create_request(mesh: &str, request_id: &str) -> v1::CreateJobReque
         mesh: mesh.into(),
         file_name: "torus.ply".into(),
         spec: Some(spec_to_wire(&job_spec())),
+        webhook_url: String::new(),
     }
 }
 

@@ -352,6 +352,28 @@ async fn pages_of_other_origins_change_nothing() {
     }
 }
 
+#[tokio::test]
+async fn calls_are_named_in_the_log_and_in_the_answer() {
+    let server = Server::start_with(&["--workers=0", "--log-json"]);
+    let web = Web::new(&server, None);
+    let mesh = upload(&mut server.client(), small_torus()).await;
+    let named = [("content-type", "application/json"), ("x-request-id", "trace-7")];
+    let created = web.send("POST", "/api/v1/jobs", &named, new_job(&mesh).to_string()).await;
+    assert_eq!(header(&created, "x-request-id"), "trace-7");
+    let name = json_of(created).await["job"]["name"].as_str().unwrap().to_owned();
+    // Whoever names no call finds the name that it was given.
+    let refused = web.get("/api/v1/jobs/0").await;
+    assert_eq!(header(&refused, "x-request-id").len(), 36);
+    let log = server.logged();
+    let lines = log.lines().map(|line| serde_json::from_str::<Value>(line).expect(line));
+    let line = lines.into_iter().find(|line| line["message"] == "job created").unwrap();
+    assert_eq!(
+        (&line["span"]["id"], &line["span"]["method"]),
+        (&"trace-7".into(), &"CreateJob".into())
+    );
+    assert_eq!(format!("jobs/{}", line["job"].as_str().unwrap()), name);
+}
+
 /// A request by hand, of which the test reads and writes as much as it likes.
 fn raw(server: &Server, head: &str, body: &[u8]) -> TcpStream {
     let address = server.url.strip_prefix("http://").unwrap();

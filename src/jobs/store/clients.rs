@@ -6,7 +6,7 @@ use sqlx::{AssertSqlSafe, Row, any::AnyRow};
 
 use super::{
     Artifact, Exclusive, Job, State, Store, StoredEvent, Tx, event_of, find, find_to_write, job_of,
-    log, now_ms, only, owners, places, sql, state_entry, storable, stored,
+    log, now_ms, only, owners, places, sql, state_entry, storable, stored, webhooks,
 };
 use crate::jobs::{
     Limits,
@@ -28,6 +28,8 @@ pub struct NewJob {
     pub file_name: String,
     /// What to do.
     pub spec: Spec,
+    /// Whom to call when it has ended; empty for nobody. A repeated request keeps the first one's.
+    pub webhook: String,
 }
 
 /// A mesh that nobody else stores or sweeps.
@@ -139,6 +141,7 @@ impl Store {
         let insert = insert.bind(&new.file_name).bind(spec).bind(State::Queued.name()).bind(now);
         insert.execute(&mut *tx).await?;
         owners::note_request(&mut tx, new, id).await?;
+        webhooks::note(&mut tx, new, id).await?;
         let mut job = find(&mut tx, id).await?;
         let entry = state_entry(&job, "CREATED", "waiting for a worker".into());
         log(&mut tx, &mut job, now, &[entry]).await?;
@@ -220,6 +223,7 @@ impl Store {
             update.execute(&mut *tx).await?;
             let entry = state_entry(&job, "CANCELLED", "cancelled on request".into());
             log(&mut tx, &mut job, now, &[entry]).await?;
+            webhooks::due(&mut tx, id, now).await?;
         }
         tx.commit().await?;
         let has_ended = job.state.is_final();

@@ -62,6 +62,8 @@ in_homes! { [on_sqlite on_postgres] [
     texts_are_kept_and_ordered_by_their_bytes,
     the_clock_is_the_database_s,
     expired_leases_are_lost_once,
+    webhooks_are_due_with_the_end_and_taken_once,
+    webhooks_go_with_their_job_and_nobody_is_called_unasked,
 ] }
 
 impl Store {
@@ -82,7 +84,7 @@ async fn add_mesh(store: &Store, name: &str) {
 fn new_job(request_id: &str) -> NewJob {
     let (request_id, file_name) = (request_id.into(), "a.ply".into());
     let (owner, mesh) = (LOCAL.into(), hash("mesh"));
-    NewJob { owner, request_id, mesh, file_name, spec: Spec::new(vec![5]) }
+    NewJob { owner, request_id, mesh, file_name, spec: Spec::new(vec![5]), webhook: String::new() }
 }
 
 /// No more than so many jobs may wait.
@@ -326,4 +328,60 @@ async fn expired_leases_are_lost_once(home: Home) {
     for job in stores[1].list(None, &[], None, 99).await.unwrap() {
         assert_eq!((job.state, job.lost, job.last_seq), (State::Queued, 1, 4));
     }
+}
+
+fn to_be_told() -> NewJob {
+    NewJob { webhook: "https://a.test/\0".into(), ..new_job("") }
+}
+
+async fn webhooks_are_due_with_the_end_and_taken_once(home: Home) {
+    let stores: [Store; 2] = home.servers().await;
+    add_mesh(&stores[0], "mesh").await;
+    // Cancelled while they wait, cancelled at work, and failed.
+    for id in ["a", "b", "c"] {
+        stores[0].create(id, &to_be_told(), &Limits::default()).await.unwrap();
+    }
+    let take = async |store: &Store| store.take_calls(10, Duration::from_hours(1)).await.unwrap();
+    let (_, lease) = claim(&stores[0], "w1").await.unwrap();
+    let (_, other) = claim(&stores[1], "w2").await.unwrap();
+    assert_eq!(take(&stores[0]).await, [], "no job has ended");
+    stores[0].cancel("c").await.unwrap();
+    stores[1].cancel(&lease.job).await.unwrap();
+    stores[0].complete(&lease, &Outcome::Cancelled, 3).await.unwrap();
+    let failed = Outcome::Failed("EMPTY_MESH".into(), "it has no triangles".into());
+    stores[1].complete(&other, &failed, 3).await.unwrap();
+    let taken = join_all((0..6).map(|i| take(&stores[i % 2]))).await.concat();
+    let told: BTreeSet<_> =
+        taken.iter().map(|call| (&*call.job.id, call.job.state.name())).collect();
+    let ids: BTreeSet<_> = taken.iter().map(|call| call.id.as_str()).collect();
+    assert_eq!(told, BTreeSet::from([("a", "CANCELLED"), ("b", "FAILED"), ("c", "CANCELLED")]));
+    assert_eq!((taken.len(), ids.len(), taken[0].attempt), (3, 3, 1));
+    assert_eq!(taken[0].url, "https://a.test/\u{fffd}");
+    // One is heard, one is to be called at once, and of one nothing is heard.
+    stores[1].end_call(&taken[0], &CallEnd::Delivered).await.unwrap();
+    let again = CallEnd::Again("it answers 503".into(), Duration::ZERO);
+    stores[1].end_call(&taken[1], &again).await.unwrap();
+    let [second] = &take(&stores[0]).await[..] else { panic!("one is due") };
+    assert_eq!((&second.id, &second.job.id, second.attempt), (&taken[1].id, &taken[1].job.id, 2));
+    // Who was given up on comes too late.
+    stores[1].end_call(&taken[1], &CallEnd::Delivered).await.unwrap();
+    stores[1].end_call(second, &again).await.unwrap();
+    let third = stores[0].take_calls(10, Duration::ZERO).await.unwrap();
+    assert_eq!((third.len(), third[0].attempt), (1, 3));
+    // Its server was killed: what it had is due again when its time is up.
+    let fourth = take(&stores[1]).await;
+    assert_eq!((fourth.len(), &fourth[0].id, fourth[0].attempt), (1, &third[0].id, 4));
+    stores[0].end_call(&fourth[0], &CallEnd::GivenUp("it answers 410".into())).await.unwrap();
+    assert_eq!(take(&stores[0]).await, []);
+}
+
+async fn webhooks_go_with_their_job_and_nobody_is_called_unasked(home: Home) {
+    let [store]: [Store; 1] = home.servers().await;
+    create(&store, "silent", 1).await;
+    store.create("a", &to_be_told(), &Limits::default()).await.unwrap();
+    for id in ["silent0", "a"] {
+        store.cancel(id).await.unwrap();
+    }
+    store.delete("a").await.unwrap();
+    assert_eq!(store.take_calls(10, Duration::ZERO).await.unwrap(), []);
 }

@@ -1,5 +1,5 @@
 //! The job database, SQLite or PostgreSQL (`dialect.rs`), and all of its SQL (here, in `clients.rs`,
-//! `owners.rs` and `workers.rs`).
+//! `owners.rs`, `webhooks.rs` and `workers.rs`).
 //!
 //! 1. A transaction that reads before it writes locks first what it reads: SQLite by BEGIN IMMEDIATE (a
 //!    deferred one that upgrades is refused with SQLITE_BUSY whatever the busy timeout), PostgreSQL
@@ -17,6 +17,7 @@ mod clients;
 mod dialect;
 mod listen;
 mod owners;
+mod webhooks;
 mod workers;
 
 #[cfg(test)]
@@ -37,6 +38,7 @@ use super::{
 pub use clients::{MeshLock, NewJob};
 pub use dialect::Address;
 pub use listen::{Ear, Heard};
+pub use webhooks::{CallEnd, DueCall};
 pub use workers::{Appended, Outcome};
 
 /// A job as stored.

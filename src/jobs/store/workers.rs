@@ -7,7 +7,7 @@ use sqlx::AnyConnection;
 
 use super::{
     Artifact, Body, Job, SegmentRange, Store, Tx, find, find_to_write, job_of, log, now_ms, sql,
-    state_entry, storable,
+    state_entry, storable, webhooks,
 };
 use crate::jobs::{
     error::{Error, Result},
@@ -287,6 +287,7 @@ async fn end(
     update.execute(&mut **tx).await?;
     let entry = state_entry(&job, reason, text);
     log(tx, &mut job, now, &[entry]).await?;
+    webhooks::due(tx, &job.id, now).await?;
     Ok(job)
 }
 

@@ -113,7 +113,14 @@ async fn put_mesh(jobs: &Jobs, owner: &str) -> StoredMesh {
 async fn new_job(jobs: &Jobs, request_id: &str) -> NewJob {
     let mesh = put_mesh(jobs, LOCAL).await.hash;
     let (request_id, file_name) = (request_id.into(), "a.ply".into());
-    NewJob { owner: LOCAL.into(), request_id, mesh, file_name, spec: Spec::new(vec![5]) }
+    NewJob {
+        owner: LOCAL.into(),
+        request_id,
+        mesh,
+        file_name,
+        spec: Spec::new(vec![5]),
+        webhook: String::new(),
+    }
 }
 
 async fn create(jobs: &Jobs) -> Job {
@@ -317,6 +324,7 @@ async fn requests_are_idempotent_and_checked_as_a_whole(home: Home) {
         mesh: "0".repeat(64),
         file_name: "a/b".into(),
         spec: Spec::new(vec![]),
+        webhook: String::new(),
     };
     let Err(Error::Invalid(faults)) = jobs.create(bad, vec![]).await else { panic!("accepted") };
     let fields: Vec<_> = faults.iter().map(|fault| fault.field.as_str()).collect();

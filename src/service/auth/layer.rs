@@ -13,6 +13,7 @@ use http::{Request, Response};
 use prost::bytes::Bytes;
 use tonic::{Code, Status, body::Body, metadata::MetadataMap};
 use tower::{Layer, Service};
+use tracing::Instrument;
 
 use super::{
     Gate,
@@ -21,7 +22,7 @@ use super::{
 };
 use crate::{
     jobs::{Jobs, audit::AuditEntry, principal::Principal},
-    service::accept::Peer,
+    service::{accept::Peer, call_name},
 };
 
 /// Entries of refusals a second, lest strangers fill the disk; ten times as many may come at once.
@@ -98,7 +99,25 @@ where
     }
 }
 
+/// Names the call, and whatever is logged of it.
 async fn pass<S>(
+    gate: GateLayer,
+    inner: S,
+    mut request: Request<Body>,
+) -> Result<Response<Body>, Infallible>
+where
+    S: Service<Request<Body>, Response = Response<Body>, Error = Infallible>,
+{
+    let name = call_name::ensure(request.headers_mut());
+    let method = request.uri().path().rsplit('/').next().unwrap_or_default();
+    let method = method.get(..64).unwrap_or(method);
+    let span = tracing::info_span!("request", id = name.to_str().unwrap_or_default(), method);
+    let mut response = decide(gate, inner, request).instrument(span).await?;
+    response.headers_mut().insert(call_name::HEADER, name);
+    Ok(response)
+}
+
+async fn decide<S>(
     gate: GateLayer,
     mut inner: S,
     mut request: Request<Body>,

@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use futures::{Stream, StreamExt};
-use http::{header, request::Parts, uri::PathAndQuery};
+use http::{request::Parts, uri::PathAndQuery};
 use prost::Message;
 use prost_reflect::{DynamicMessage, MessageDescriptor, MethodDescriptor};
 use tonic::{
@@ -16,7 +16,7 @@ use super::{
     Grpc,
     fault::{Fault, Result},
 };
-use crate::service::{accept::Peer, server::MAX_MESSAGE_BYTES};
+use crate::service::{accept::Peer, call_name, server::MAX_MESSAGE_BYTES};
 
 /// A call that says who makes it as the request did: by its connection and its token.
 pub(super) fn on_behalf<T>(parts: &Parts, message: T) -> Request<T> {
@@ -24,11 +24,12 @@ pub(super) fn on_behalf<T>(parts: &Parts, message: T) -> Request<T> {
     if let Some(peer) = parts.extensions.get::<Peer>() {
         request.extensions_mut().insert(peer.clone());
     }
-    let token = parts.headers.get(header::AUTHORIZATION);
-    // What is no text is no token either: the gate says so.
-    let token = token.map(|token| token.to_str().unwrap_or("?").parse());
-    if let Some(Ok(token)) = token {
-        request.metadata_mut().insert("authorization", token);
+    for name in ["authorization", call_name::HEADER] {
+        // What is no text is no token either: the gate says so.
+        let value = parts.headers.get(name).map(|value| value.to_str().unwrap_or("?").parse());
+        if let Some(Ok(value)) = value {
+            request.metadata_mut().insert(name, value);
+        }
     }
     request
 }

@@ -8,7 +8,7 @@ use prost_reflect::{
     MethodDescriptor, ServiceDescriptor,
 };
 use serde_json::{Map, Value};
-use tonic::body::Body;
+use tonic::{Status, body::Body};
 
 use super::fault::{Fault, Result};
 use crate::service::proto::DESCRIPTORS;
@@ -18,7 +18,7 @@ const MAX_BODY: usize = 1 << 20;
 
 /// The messages of the public API.
 #[derive(Debug)]
-pub(super) struct Shapes {
+pub(in crate::service) struct Shapes {
     pool: DescriptorPool,
     service: Option<ServiceDescriptor>,
 }
@@ -32,6 +32,19 @@ impl Shapes {
 
     pub fn method(&self, name: &str) -> Option<MethodDescriptor> {
         self.service.as_ref()?.methods().find(|method| method.name() == name)
+    }
+
+    /// A message of its own type as JSON.
+    pub fn json<M: prost::Message>(
+        &self,
+        name: &str,
+        message: &M,
+    ) -> std::result::Result<Value, Status> {
+        let internal = |text: String| Status::internal(text);
+        let shape = self.pool.get_message_by_name(name).ok_or_else(|| internal(name.into()))?;
+        let mut dynamic = DynamicMessage::new(shape);
+        dynamic.transcode_from(message).map_err(|error| internal(error.to_string()))?;
+        serde_json::to_value(&dynamic).map_err(|error| internal(error.to_string()))
     }
 
     /// An entry of a log.

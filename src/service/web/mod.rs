@@ -32,9 +32,11 @@ use tower::{Layer, Service};
 
 use self::{
     fault::{Fault, Result},
-    json::Shapes,
     routes::Answer,
 };
+
+pub(super) use self::json::Shapes;
+use super::call_name;
 
 pub use self::origins::Origin;
 pub(super) use self::origins::{Hosts, cross_origin};
@@ -122,8 +124,12 @@ impl<S: Grpc> Service<Request<Body>> for Web<S> {
             if !is_route {
                 return inner.call(request).await;
             }
-            let (parts, body) = request.into_parts();
-            Ok(answer(&web.shapes, inner, parts, body).await.unwrap_or_else(|f| f.response()))
+            let (mut parts, body) = request.into_parts();
+            let name = call_name::ensure(&mut parts.headers);
+            let answer = answer(&web.shapes, inner, parts, body).await;
+            let mut answer = answer.unwrap_or_else(|fault| fault.response());
+            answer.headers_mut().insert(call_name::HEADER, name);
+            Ok(answer)
         })
     }
 }

@@ -61,6 +61,7 @@ pub(in crate::service) fn cross_origin(origins: &[Origin]) -> Option<CorsLayer> 
         "last-event-id",
         "range",
         "x-grpc-web",
+        "x-request-id",
         "x-user-agent",
     ]);
     let heard = names(&[
@@ -72,6 +73,7 @@ pub(in crate::service) fn cross_origin(origins: &[Origin]) -> Option<CorsLayer> 
         "grpc-status",
         "grpc-status-details-bin",
         "retry-after",
+        "x-request-id",
     ]);
     let origins = origins.iter().map(|origin| origin.header.clone());
     Some(
