@@ -79,6 +79,9 @@ pub(crate) struct ServeArgs {
     /// Hours for which a mesh that no job names is kept; it is removed at the next start after that.
     #[arg(long, env = "LOOKALIKE_KEEP_MESHES_HOURS", default_value_t = 168, value_name = "HOURS")]
     pub(crate) keep_meshes_hours: u32,
+    /// Hours for which the results of an ended job are kept, unless it is pinned; 0 for ever.
+    #[arg(long, env = "LOOKALIKE_KEEP_RESULTS_HOURS", default_value_t = 0, value_name = "HOURS")]
+    pub(crate) keep_results_hours: u32,
     /// Seconds that workers and open calls get to end in peace.
     #[arg(long, env = "LOOKALIKE_DRAIN_SECS", default_value_t = 10.0, value_name = "SECS")]
     pub(crate) drain_secs: f64,
@@ -179,6 +182,7 @@ impl ServeArgs {
                 max_owner_queued: self.max_owner_queued,
                 max_owner_bytes: most_bytes(self.max_owner_mib),
                 keep_meshes: Duration::from_hours(self.keep_meshes_hours.into()),
+                keep_results: kept_for(self.keep_results_hours),
                 ..Limits::default()
             },
             guard,
@@ -189,6 +193,11 @@ impl ServeArgs {
             log_json: self.log_json,
         })
     }
+}
+
+/// 0 hours is for ever.
+fn kept_for(hours: u32) -> Option<Duration> {
+    (hours > 0).then(|| Duration::from_hours(hours.into()))
 }
 
 /// 0 MiB is no limit.
@@ -236,14 +245,14 @@ mod tests {
             "--lease-secs=5",
             "--drain-secs=nan",
             "--max-attempts=0",
-            "--database=mysql://u:secret@h/db",
+            "--database=mysql://u:hush@h/db",
             "--objects=farm",
-            "--webhook-secret=whsec_secret",
+            "--webhook-secret=whsec_hush",
             "--webhook-url=http://hooks.test/",
         ]);
         let faults = faults.unwrap_err();
         assert_eq!(faults.len(), 10, "{faults:#?}");
-        assert!(!faults.concat().contains("secret"), "{faults:#?}");
+        assert!(!faults.concat().contains("hush"), "{faults:#?}");
         assert!(faults[0].contains("give --tls-cert, --tls-key and --tokens"));
     }
 

@@ -54,6 +54,18 @@ pub(crate) struct DeleteArgs {
     server: ServerArgs,
 }
 
+/// Flags of `lookalike pin`.
+#[derive(Args, Debug)]
+pub(crate) struct PinArgs {
+    /// The job, `jobs/{id}` or just the id.
+    job: String,
+    /// Let the results go when their time is up.
+    #[arg(long)]
+    undo: bool,
+    #[command(flatten)]
+    server: ServerArgs,
+}
+
 pub(crate) async fn list(args: JobsArgs) -> Result<(), Failure> {
     let remote = Remote::connect(&args.server).await?;
     let states = args.state.iter().map(|state| convert::state_to_wire(*state).into()).collect();
@@ -92,6 +104,16 @@ pub(crate) async fn cancel(args: CancelArgs) -> Result<(), Failure> {
         }
         _ => Ok(()),
     }
+}
+
+pub(crate) async fn pin(args: PinArgs) -> Result<(), Failure> {
+    let remote = Remote::connect(&args.server).await?;
+    let request = v1::PinJobRequest { name: job_name(&args.job), pinned: !args.undo };
+    let answer = remote.call(|mut client| {
+        let request = request.clone();
+        async move { client.pin_job(request).await }
+    });
+    answer.await.map(|_| ())
 }
 
 pub(crate) async fn delete(args: DeleteArgs) -> Result<(), Failure> {

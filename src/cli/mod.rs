@@ -56,6 +56,8 @@ enum Command {
     Jobs(jobs::JobsArgs),
     /// Cancel a job.
     Cancel(jobs::CancelArgs),
+    /// Keep the results of a job beyond the time that the server keeps them.
+    Pin(jobs::PinArgs),
     /// Delete a job that has ended, with its results.
     Delete(jobs::DeleteArgs),
     /// Fetch the results of a job.
@@ -138,6 +140,7 @@ async fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Watch(args) => watch::run(args).await,
         Command::Jobs(args) => jobs::list(args).await,
         Command::Cancel(args) => jobs::cancel(args).await,
+        Command::Pin(args) => jobs::pin(args).await,
         Command::Delete(args) => jobs::delete(args).await,
         Command::Fetch(args) => fetch::run(args).await,
         Command::Run(args) => run::run(args).await,

@@ -29,6 +29,8 @@ use crate::config::{Port, ServeArgs, ServeConfig};
 
 /// Leases are looked at this often, or four times a lease if that is more often.
 const SWEEP: Duration = Duration::from_secs(1);
+/// Results whose time is up are looked for this often.
+const TIDY: Duration = Duration::from_secs(60);
 /// What open calls get to finish once the workers have ended.
 const GRACE: Duration = Duration::from_secs(3);
 
@@ -75,6 +77,7 @@ pub(crate) async fn run(args: ServeArgs) -> Result<(), Failure> {
             async { calls.await.context("webhooks") },
             workers,
             sweep(&jobs, &observer, config.terms.lease, &stop_serving),
+            tidy(&jobs, &stop_serving),
         )
     };
     tokio::select! {
@@ -128,6 +131,21 @@ async fn sweep(
             _ = tick.tick() => match jobs.sweep_leases().await {
                 Ok(lost) => observer.lost(&lost),
                 Err(error) => tracing::error!(%error, "leases cannot be checked"),
+            },
+            () = stop.cancelled() => return Ok(()),
+        }
+    }
+}
+
+/// Removes results whose time is up, until the end.
+async fn tidy(jobs: &Jobs, stop: &CancellationToken) -> anyhow::Result<()> {
+    let mut tick = tokio::time::interval(TIDY);
+    loop {
+        tokio::select! {
+            _ = tick.tick() => match jobs.sweep_results().await {
+                Ok(0) => {}
+                Ok(n_jobs) => tracing::info!(n_jobs, "results were removed: their time was up"),
+                Err(error) => tracing::error!(%error, "results cannot be removed"),
             },
             () = stop.cancelled() => return Ok(()),
         }

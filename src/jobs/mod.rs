@@ -35,6 +35,7 @@ pub mod store;
 pub mod webhooks;
 
 mod attempts;
+mod expiry;
 
 pub use places::Places;
 
@@ -72,6 +73,8 @@ pub struct Limits {
     pub keep_meshes: Duration,
     /// Entries of the audit table are removed at a start when they are older.
     pub keep_audit: Duration,
+    /// Results of ended jobs are removed after so long, unless the job is pinned; never where it is not said.
+    pub keep_results: Option<Duration>,
 }
 
 impl Default for Limits {
@@ -84,6 +87,7 @@ impl Default for Limits {
             max_owner_bytes: u64::MAX,
             keep_meshes: Duration::from_hours(7 * 24),
             keep_audit: Duration::from_hours(366 * 24),
+            keep_results: None,
         }
     }
 }

@@ -85,6 +85,12 @@ impl Desk<'_> {
         self.jobs.cancel(id).await
     }
 
+    /// Keeps the results of a job beyond their time, or no longer so.
+    pub async fn pin(&self, id: &str, pinned: bool) -> Result<Job> {
+        self.job(id).await?;
+        self.jobs.pin(id, pinned).await
+    }
+
     /// Deletes an ended job with its log and artifacts.
     pub async fn delete(&self, id: &str) -> Result<()> {
         self.job(id).await?;

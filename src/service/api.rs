@@ -164,6 +164,19 @@ impl v1::lookalike_service_server::LookalikeService for Api {
         Ok(Response::new(v1::CancelJobResponse { job: Some(convert::job_to_wire(&job)) }))
     }
 
+    async fn pin_job(
+        &self,
+        request: Request<v1::PinJobRequest>,
+    ) -> Result<Response<v1::PinJobResponse>, Status> {
+        let call = call_of(&request)?;
+        let request = request.into_inner();
+        let id = convert::job_id("name", &request.name)?;
+        call.is_about(format!("jobs/{id}"));
+        let pinned = self.jobs.desk(&call.who).pin(&id, request.pinned).await;
+        let job = pinned.map_err(|e| status_of(&e))?;
+        Ok(Response::new(v1::PinJobResponse { job: Some(convert::job_to_wire(&job)) }))
+    }
+
     async fn delete_job(
         &self,
         request: Request<v1::DeleteJobRequest>,

@@ -166,6 +166,7 @@ async fn call(client: &mut Client, method: &str, mesh: &str, job: &str, done: &s
         "ListJobs" => client.list_jobs(v1::ListJobsRequest::default()).await.map(drop),
         "WatchJob" => client.watch_job(v1::WatchJobRequest { name, after_seq: 0 }).await.map(drop),
         "CancelJob" => client.cancel_job(v1::CancelJobRequest { name }).await.map(drop),
+        "PinJob" => client.pin_job(v1::PinJobRequest { name, pinned: true }).await.map(drop),
         "DeleteJob" => {
             let request = v1::DeleteJobRequest { name, allow_missing: false };
             client.delete_job(request).await.map(drop)
@@ -223,7 +224,7 @@ const I: Code = Code::InvalidArgument;
 const F: Code = Code::FailedPrecondition;
 
 #[rustfmt::skip]
-pub(crate) const PUBLIC: [(&str, [Code; 8]); 9] = [
+pub(crate) const PUBLIC: [(&str, [Code; 8]); 10] = [
     // method          anonymous wrong expired bob viewer ann worker admin
     ("UploadMesh",    [U, U, U, O, P, O, P, O]),
     ("CreateJob",     [U, U, U, I, P, O, P, I]),
@@ -231,6 +232,7 @@ pub(crate) const PUBLIC: [(&str, [Code; 8]); 9] = [
     ("ListJobs",      [U, U, U, O, O, O, P, O]),
     ("WatchJob",      [U, U, U, N, O, O, P, O]),
     ("CancelJob",     [U, U, U, N, P, O, P, O]),
+    ("PinJob",        [U, U, U, N, P, O, P, O]),
     ("DeleteJob",     [U, U, U, N, P, O, P, O]),
     ("ListArtifacts", [U, U, U, N, O, O, P, O]),
     ("ReadArtifact",  [U, U, U, N, O, O, P, O]),

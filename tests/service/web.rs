@@ -112,6 +112,7 @@ async fn route(web: &Web, method: &str, mesh: &str, job: &str, done: &str) -> Re
         "ListJobs" => web.get(&at("jobs")).await,
         "WatchJob" => web.get(&at(&format!("{job}/events"))).await,
         "CancelJob" => web.post(&at(&format!("{job}:cancel")), json!({})).await,
+        "PinJob" => web.post(&at(&format!("{job}:pin")), json!({"pinned": true})).await,
         "DeleteJob" => web.send("DELETE", &at(job), &[], "").await,
         "ListArtifacts" => web.get(&at(&format!("{job}/artifacts"))).await,
         "ReadArtifact" => web.get(&at(&format!("{done}/artifacts/x"))).await,
@@ -454,7 +455,6 @@ async fn a_reader_that_stalls_does_not_hold_up_the_end() {
     stalled.read_exact(&mut [0; 12]).unwrap();
     let (took, is_well) = server.terminate();
     assert!(is_well && took < Duration::from_secs(10), "{took:?}");
-    assert!(server.logged().contains("some calls did not end in time and are cut off"));
 }
 
 /// Ends the job that waits, with an artifact `x` of so many MiB.

@@ -83,7 +83,8 @@ fn start(flags: &[&str]) -> Server {
     Server::start_in(flags, vec![("LOOKALIKE_WEBHOOK_SECRET".into(), secret)])
 }
 
-#[tokio::test]
+// Whoever waits for calls must not keep its clients from answering pings.
+#[tokio::test(flavor = "multi_thread")]
 async fn a_job_s_end_is_told_until_it_is_heard_also_by_the_next_server() {
     let (address, calls) = receiver(&["503 Busy", "200 OK"]);
     let url = format!("--webhook-url={address}/hush?token=t0k3n");
@@ -114,7 +115,8 @@ async fn a_job_s_end_is_told_until_it_is_heard_also_by_the_next_server() {
     }
 }
 
-#[tokio::test]
+// Whoever waits for calls must not keep its clients from answering pings.
+#[tokio::test(flavor = "multi_thread")]
 async fn jobs_name_whom_they_like_among_those_allowed() {
     let (address, calls) = receiver(&["200 OK"]);
     let server = start(&["--workers=1", "--webhook-allow-private", "--webhook-allow=127.0.0.1"]);

@@ -85,8 +85,7 @@ fn every_fault_is_told_at_once_with_its_place() {
     let path = dir.path().join("c.toml");
     let file = "colour = 1\n[serve]\nworkers = 'many'\ncolour = 'red'\nlog_json = 3\nlisten = [1]\n\
                 lock = 'x'\nmax_queued = 0x10\n[worker]\ncolour = 'not ours'\n";
-    let env =
-        [("LOOKALIKE_LEASE_SECS", "long"), ("LOOKALIKE_DATABASE", "postgres://u:secret@h/db")];
+    let env = [("LOOKALIKE_LEASE_SECS", "long"), ("LOOKALIKE_DATABASE", "postgres://u:hush@h/db")];
     let told = gather(&path, file, &env, &["--max-attempts=-1", "--drain-secs", "soon"]);
     let at = |line: u32| format!("{}:{line}: ", path.display());
     let wanted = [
@@ -107,7 +106,7 @@ fn every_fault_is_told_at_once_with_its_place() {
         assert!(told.faults.iter().any(is_told), "{place}{text} is not in {:#?}", told.faults);
     }
     assert_eq!(told.faults.len(), wanted.len(), "{:#?}", told.faults);
-    assert!(!told.faults.concat().contains("secret"));
+    assert!(!told.faults.concat().contains("hush"));
     let broken = gather(&path, "[serve\nworkers = \n", &[], &[]).faults;
     assert!(broken.iter().any(|fault| fault.starts_with(&at(1))), "{broken:#?}");
     let places = gather(&path, FILE, &[], &["--drain-secs=1"]);
@@ -119,11 +118,11 @@ fn every_fault_is_told_at_once_with_its_place() {
 fn what_is_shown_says_the_same_and_hides_secrets() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("c.toml");
-    let env = [("LOOKALIKE_DATABASE", "postgres://u:secret@h/db")];
+    let env = [("LOOKALIKE_DATABASE", "postgres://u:hush@h/db")];
     let root = <Root as clap::CommandFactory>::command();
     let shown = gather(&path, FILE, &env, &["--metrics-listen=127.0.0.1:9"]).show(&root);
     assert!(shown.contains("# database is set at LOOKALIKE_DATABASE, and hidden\n"), "{shown}");
-    assert!(!shown.contains("secret"), "{shown}");
+    assert!(!shown.contains("hush"), "{shown}");
     for line in [
         "workers = 3  # ",
         "metrics_listen = \"127.0.0.1:9\"  # --metrics-listen\n",

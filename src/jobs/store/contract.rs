@@ -62,6 +62,7 @@ in_homes! { [on_sqlite on_postgres] [
     texts_are_kept_and_ordered_by_their_bytes,
     the_clock_is_the_database_s,
     expired_leases_are_lost_once,
+    results_go_when_their_time_is_up_unless_pinned,
     webhooks_are_due_with_the_end_and_taken_once,
     webhooks_go_with_their_job_and_nobody_is_called_unasked,
 ] }
@@ -384,4 +385,36 @@ async fn webhooks_go_with_their_job_and_nobody_is_called_unasked(home: Home) {
     }
     store.delete("a").await.unwrap();
     assert_eq!(store.take_calls(10, Duration::ZERO).await.unwrap(), []);
+}
+
+async fn results_go_when_their_time_is_up_unless_pinned(home: Home) {
+    let [store]: [Store; 1] = home.servers().await;
+    create(&store, "a", 4).await;
+    for id in ["a0", "a1", "a2"] {
+        let (job, lease) = claim(&store, id).await.unwrap();
+        assert_eq!(job.id, id);
+        let [file, media_type, blake3] = ["x", "text/plain", "-"].map(str::to_owned);
+        let artifact = Artifact { file, media_type, size: 1, blake3 };
+        store.add_artifact(&lease, &artifact).await.unwrap();
+        store.complete(&lease, &Outcome::Succeeded(vec!["x".into()]), 3).await.unwrap();
+    }
+    assert!(store.pin("a1", true).await.unwrap().pinned);
+    let expired = async |kept_for| store.expired(kept_for, 10).await.unwrap();
+    assert_eq!(expired(Duration::from_hours(1)).await, [""; 0]);
+    assert_eq!(expired(Duration::ZERO).await, ["a0", "a2"], "a1 is pinned, a3 has not ended");
+    // Pinned just in time.
+    store.pin("a2", true).await.unwrap();
+    assert_eq!(store.forget_results("a2").await.unwrap(), None);
+    assert_eq!(store.forget_results("a3").await.unwrap(), None);
+    assert!(store.forget_results("a0").await.unwrap().unwrap().results_removed);
+    assert_eq!(store.artifacts("a0").await.unwrap().1, []);
+    // Nobody noted that the bytes are gone: whoever looks next goes on, pinned or not.
+    store.pin("a0", true).await.unwrap();
+    assert_eq!(expired(Duration::ZERO).await, ["a0"]);
+    assert!(store.forget_results("a0").await.unwrap().is_some());
+    store.results_gone("a0").await.unwrap();
+    assert_eq!(expired(Duration::ZERO).await, [""; 0]);
+    store.pin("a2", false).await.unwrap();
+    assert_eq!(expired(Duration::ZERO).await, ["a2"]);
+    assert_eq!(store.artifacts("a1").await.unwrap().1.len(), 1);
 }

@@ -1,5 +1,5 @@
 //! The job database, SQLite or PostgreSQL (`dialect.rs`), and all of its SQL (here, in `clients.rs`,
-//! `owners.rs`, `webhooks.rs` and `workers.rs`).
+//! `expiry.rs`, `owners.rs`, `webhooks.rs` and `workers.rs`).
 //!
 //! 1. A transaction that reads before it writes locks first what it reads: SQLite by BEGIN IMMEDIATE (a
 //!    deferred one that upgrades is refused with SQLITE_BUSY whatever the busy timeout), PostgreSQL
@@ -15,6 +15,7 @@
 
 mod clients;
 mod dialect;
+mod expiry;
 mod listen;
 mod owners;
 mod webhooks;
@@ -84,6 +85,10 @@ pub struct Job {
     pub started_ms: Option<i64>,
     /// When it ended.
     pub ended_ms: Option<i64>,
+    /// Its results are kept beyond their time.
+    pub pinned: bool,
+    /// Its results are gone: their time was up.
+    pub results_removed: bool,
 }
 
 impl Job {
@@ -299,6 +304,8 @@ fn job_of(row: &AnyRow) -> Result<Job> {
         created_ms: int("created_ms")?,
         started_ms: row.try_get("started_ms")?,
         ended_ms: row.try_get("ended_ms")?,
+        pinned: int("pinned")? != 0,
+        results_removed: int("swept")? != 0,
         id,
     })
 }

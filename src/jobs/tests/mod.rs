@@ -94,6 +94,7 @@ in_homes! { [on_sqlite on_postgres] [
     damaged_transfers_leave_nothing,
     servers_share_a_database_but_not_their_directories,
     database_and_objects_belong_together,
+    results_are_removed_with_their_bytes_and_logs_stay,
     followers_see_everything_live_wherever_they_begin,
 ] }
 
@@ -437,4 +438,27 @@ async fn database_and_objects_belong_together(home: Home) {
     store.forget_objects().await;
     store.close().await;
     assert_eq!(home.open().await.counts().await.unwrap()[0], (State::Queued, 1));
+}
+
+async fn results_are_removed_with_their_bytes_and_logs_stay(home: Home) {
+    let keep_results = Some(Duration::ZERO);
+    let limits = Limits { keep_results, ..Limits::default() };
+    let jobs = Jobs::open(home.places(), Terms::default(), limits).await.unwrap();
+    let mut names = Vec::new();
+    for worker in ["w1", "w2"] {
+        create(&jobs).await;
+        let (job, lease) = claim(&jobs, worker).await.unwrap();
+        put(&jobs, &lease, "a.txt", b"bytes").await.unwrap();
+        jobs.complete(&lease, &Outcome::Succeeded(vec!["a.txt".into()])).await.unwrap();
+        names.push(job.id);
+    }
+    jobs.pin(&names[1], true).await.unwrap();
+    let bytes = jobs.artifact(&names[0], "a.txt").await.unwrap().1;
+    assert_eq!(jobs.sweep_results().await.unwrap(), 1);
+    assert!(bytes.read(0, 9).await.is_err(), "the bytes are there");
+    let gone = jobs.job(&names[0]).await.unwrap();
+    assert!(gone.results_removed && log_of(&jobs, &gone.id).await.len() as u64 == gone.last_seq);
+    assert!(matches!(jobs.artifact(&names[0], "a.txt").await, Err(Error::NotFound(_))));
+    assert!(jobs.artifact(&names[1], "a.txt").await.is_ok());
+    assert_eq!(jobs.sweep_results().await.unwrap(), 0);
 }

@@ -58,6 +58,8 @@ pub fn job_to_wire(job: &Job) -> v1::Job {
         stage: job.stage.clone(),
         fraction: job.fraction,
         owner: job.owner.clone(),
+        pinned: job.pinned,
+        results_removed: job.results_removed,
     }
 }
 

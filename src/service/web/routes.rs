@@ -49,6 +49,7 @@ const ROUTES: &[Route] = &[
     row(Method::POST,   ("",                   "jobs"),       "",       "CreateJob",     Answer::Message),
     row(Method::GET,    ("jobs/*",             ""),           "name",   "GetJob",        Answer::Message),
     row(Method::DELETE, ("jobs/*",             ""),           "name",   "DeleteJob",     Answer::Message),
+    row(Method::POST,   ("jobs/*",             ":pin"),       "name",   "PinJob",        Answer::Message),
     row(Method::POST,   ("jobs/*",             ":cancel"),    "name",   "CancelJob",     Answer::Message),
     row(Method::GET,    ("jobs/*",             "/events"),    "name",   "WatchJob",      Answer::Events),
     row(Method::GET,    ("jobs/*",             "/artifacts"), "parent", "ListArtifacts", Answer::Message),
@@ -114,6 +115,7 @@ mod tests {
             ("GET", "/api/v1/jobs/0a", Ok(("GetJob", "jobs/0a"))),
             ("DELETE", "/api/v1/jobs/0a", Ok(("DeleteJob", "jobs/0a"))),
             ("POST", "/api/v1/jobs/0a:cancel", Ok(("CancelJob", "jobs/0a"))),
+            ("POST", "/api/v1/jobs/0a:pin", Ok(("PinJob", "jobs/0a"))),
             ("GET", "/api/v1/jobs/0a/events", Ok(("WatchJob", "jobs/0a"))),
             ("GET", "/api/v1/jobs/0a/artifacts", Ok(("ListArtifacts", "jobs/0a"))),
             (
