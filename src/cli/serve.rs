@@ -60,7 +60,7 @@ pub(crate) async fn run(args: ServeArgs) -> Result<(), Failure> {
     let (origins, webhooks) = (config.guard.origins.clone(), config.webhooks.clone());
     let doors = Doors { gate, origins, webhooks: webhooks.clone() };
     let grpc = server::serve(listeners, doors, jobs.clone(), observing, stop_serving.clone());
-    let calls = webhook::run(jobs.clone(), webhooks, stop_serving.clone());
+    let calls = Box::pin(webhook::run(jobs.clone(), webhooks, stop_serving.clone()));
     let http = telemetry::serve_metrics(metrics, page, refresh, stop_serving.clone());
     let crew = crew(&config);
     let workers = async {

@@ -56,7 +56,7 @@ impl Settings {
         let flags = from_flags(command, found.argv.get(2..).unwrap_or_default());
         let environment = from_environment(command, env);
         let path = flags.get("config").or_else(|| environment.get("config"));
-        let file = path.map(|path| found.from_file(command, Path::new(&path.text)));
+        let file = path.map(|path| found.read_file(command, Path::new(&path.text)));
         let file = file.unwrap_or_default();
         let is_needed =
             |name: &&String| !environment.contains_key(*name) && !flags.contains_key(*name);
@@ -95,7 +95,7 @@ impl Settings {
         }
     }
 
-    fn from_file(&mut self, command: &Command, path: &Path) -> BTreeMap<String, Setting> {
+    fn read_file(&mut self, command: &Command, path: &Path) -> BTreeMap<String, Setting> {
         let shown = path.display().to_string();
         let text = match fs::read_to_string(path) {
             Ok(text) => text,
