@@ -172,8 +172,7 @@ pub fn run(
     if let Some(simplified) = &simplified {
         recorder.announce("simplified mesh", &simplified.report)?;
     }
-    let n_finest = model.finest(spec).unwrap_or(0);
-    let mut facts = Facts { asked, n_locked: marks.n_locked(), n_optimized: 0, n_finest };
+    let mut facts = Facts { asked, n_locked: marks.n_locked(), n_optimized: 0, model: &model };
     tell_of_marks(&marks, &mut recorder)?;
     let mut figures = Vec::new();
     let pictures = params::pictures(spec, &original);
