@@ -1,5 +1,7 @@
 //! The flags that say what to do with a mesh, the same for `run` and `submit`.
 
+use std::{fmt::Display, str::FromStr};
+
 use clap::{
     Args,
     builder::{PossibleValuesParser, TypedValueParser},
@@ -60,8 +62,9 @@ pub(crate) struct JobArgs {
     locks: LockArgs,
     #[command(flatten)]
     pictures: PictureArgs,
-    /// The image-driven stage starts at this multiple of the largest level.
-    #[arg(long, default_value_t = 4.0, value_name = "K")]
+    /// The image-driven stage starts at this multiple of the largest level; `auto`: 4, or 8 for models of several
+    /// parts or with textures.
+    #[arg(long, default_value = "auto", value_parser = automatic::<f64>, value_name = "K")]
     start_factor: f64,
     /// Weight of the surface against the boundary in the memoryless cost, 0 to 1.
     #[arg(long, default_value_t = 0.5)]
@@ -138,6 +141,17 @@ impl JobArgs {
         };
         checked(spec)
     }
+}
+
+/// A number; `auto` is 0, which no such flag takes otherwise.
+pub(crate) fn automatic<T: FromStr<Err: Display> + Default + PartialEq>(
+    text: &str,
+) -> Result<T, String> {
+    if text == "auto" {
+        return Ok(T::default());
+    }
+    let number: T = text.parse().map_err(|e: T::Err| format!("{e}: use a number, or `auto`"))?;
+    if number == T::default() { Err("0: use `auto`".into()) } else { Ok(number) }
 }
 
 /// The specification, or everything that is wrong with it.

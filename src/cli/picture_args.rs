@@ -3,7 +3,7 @@
 use clap::Args;
 use lookalike::jobs::spec::{Projection, Render, Shading};
 
-use super::job_args::word;
+use super::job_args::{automatic, word};
 
 /// The run-time pictures.
 #[derive(Args, Clone, Debug)]
@@ -14,8 +14,9 @@ pub(crate) struct PictureArgs {
     /// A direction from the model's centre to an eye; repeat it. Replaces --views.
     #[arg(long = "view", value_parser = direction, value_name = "X,Y,Z", allow_hyphen_values = true)]
     custom_views: Vec<[f64; 3]>,
-    /// Pixels along each side of a picture, 64 to 1024, a multiple of 8.
-    #[arg(long, default_value_t = 256, value_name = "PIXELS")]
+    /// Pixels along each side of a picture, 64 to 1024, a multiple of 8; `auto`: 256, 512 or 1024, as the finest level
+    /// needs.
+    #[arg(long, default_value = "auto", value_parser = automatic::<u32>, value_name = "PIXELS")]
     image_size: u32,
     /// Surface shading.
     #[arg(long, default_value = "flat", value_parser = word::<Shading>(&["flat", "smooth"]))]

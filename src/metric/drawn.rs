@@ -41,7 +41,8 @@ struct Shade {
     /// Flat: how the luminance changes with each corner's place. Smooth: how each corner's luminance
     /// changes with its normal.
     by: [DVec3; 3],
-    /// Shares of the corners at pixel (0, 0), and their changes to the right and down (smooth or textured only).
+    /// Shares of the corners at pixel (0, 0), and their changes to the right and down (only where corners
+    /// differ, or a texture travels with them).
     shares: [[f64; 3]; 3],
 }
 
@@ -49,7 +50,7 @@ struct Shade {
 #[derive(Clone, Copy, Default)]
 struct Seen {
     n: f64,
-    /// Luminance too much, weighted by the texture's.
+    /// Luminance too much, weighted by what the pixel has of the triangle's mean luminance.
     off: f64,
     /// The same, weighted by the corners' shares; and the sums of the squares of these.
     off_by_share: [f64; 3],
@@ -58,6 +59,13 @@ struct Seen {
     sides: [[[f64; 2]; 2]; 3],
     /// What changes as the corners take the texture along.
     drags: [Drag; 3],
+}
+
+impl Seen {
+    /// Slope and bend by the luminance of a corner.
+    fn by_corner(&self, k: usize) -> (f64, f64) {
+        (2.0 * self.off_by_share[k], 2.0 * self.squares[k])
+    }
 }
 
 impl<'s> Drawn<'s> {
@@ -128,7 +136,8 @@ impl<'s> Drawn<'s> {
     fn see(&self, id: u32, reference: &[u8], at: usize, seen: &mut [Seen]) -> f64 {
         let paint = self.paint(id);
         let is_flat = self.scene.params.shading == Shading::Flat;
-        if id == NOTHING || (is_flat && paint.is_none()) {
+        let is_even = self.shades.get(id as usize).is_none_or(Shade::is_even);
+        if id == NOTHING || (is_flat && is_even && paint.is_none()) {
             let lum = self.luminance(id, at);
             let n = reference.len() as f64;
             let sum = f64::from(reference.iter().map(|r| u32::from(*r)).sum::<u32>());
@@ -140,13 +149,15 @@ impl<'s> Drawn<'s> {
             return n * lum * lum - 2.0 * lum * sum + squares;
         }
         let (shade, seen) = (&self.shades[id as usize], &mut seen[id as usize]);
+        let mean = shade.corners.iter().sum::<f64>() / 3.0;
         let mut energy = 0.0;
         for (pixel, r) in (at..).zip(reference) {
             let (bare, texel) = (self.bare_luminance(id, pixel), self.texel(id, pixel));
             let off = bare * texel - f64::from(*r);
             energy += off * off;
-            seen.n += texel * texel;
-            seen.off += off * texel;
+            let of_mean = if is_flat && !is_even { texel * bare / mean } else { texel };
+            seen.n += of_mean * of_mean;
+            seen.off += off * of_mean;
             for (k, share) in shade.shares_at(pixel, self.size).into_iter().enumerate() {
                 seen.off_by_share[k] += off * texel * share;
                 seen.squares[k] += (texel * share).powi(2);
@@ -223,7 +234,15 @@ impl<'s> Drawn<'s> {
                         sum.places[*v as usize].add(2.0 * seen.off, 2.0 * seen.n, by);
                     }
                 }
-                Shading::Smooth => smooth_inside(&face, shade, seen, motions, sum),
+                Shading::Smooth => {
+                    for (k, v) in face.vertices.iter().enumerate() {
+                        let (slope, bend) = seen.by_corner(k);
+                        sum.normals[*v as usize].add(slope, bend, shade.by[k]);
+                    }
+                }
+            }
+            if self.scene.params.shading == Shading::Smooth || !shade.is_even() {
+                travel(&face, shade, seen, motions, sum);
             }
         }
     }
@@ -271,36 +290,25 @@ impl<'s> Drawn<'s> {
         let Some(shade) = self.shades.get(id as usize) else {
             return f64::from(self.scene.params.background);
         };
-        match self.scene.params.shading {
-            Shading::Flat => shade.corners[0],
-            Shading::Smooth => {
-                let shares = shade.shares_at(pixel, self.size);
-                let sum: f64 = (0..3).map(|k| shares[k] * shade.corners[k]).sum();
-                let [a, b, c] = shade.corners;
-                sum.max(a.min(b).min(c)).min(a.max(b).max(c))
-            }
+        let [a, b, c] = shade.corners;
+        if shade.is_even() {
+            return a;
         }
+        let shares = shade.shares_at(pixel, self.size);
+        let sum: f64 = (0..3).map(|k| shares[k] * shade.corners[k]).sum();
+        sum.max(a.min(b).min(c)).min(a.max(b).max(c))
     }
 }
 
-/// Adds what changes inside a triangle with interpolated luminance.
-fn smooth_inside(
-    face: &SceneFace,
-    shade: &Shade,
-    seen: &Seen,
-    motions: &[[DVec3; 2]],
-    sum: &mut Slopes,
-) {
+/// Adds what changes inside a triangle with interpolated luminance: luminances travel with the corners.
+fn travel(face: &SceneFace, shade: &Shade, seen: &Seen, motions: &[[DVec3; 2]], sum: &mut Slopes) {
     let gradient =
         |axis: usize| -> f64 { (0..3).map(|k| shade.shares[axis][k] * shade.corners[k]).sum() };
     let (right, down) = (gradient(1), gradient(2));
     for (k, v) in face.vertices.iter().enumerate() {
-        let v = *v as usize;
-        let (slope, bend) = (2.0 * seen.off_by_share[k], 2.0 * seen.squares[k]);
-        sum.normals[v].add(slope, bend, shade.by[k]);
-        // Luminances travel with the corners.
-        let [dx, dy] = motions[v];
-        sum.places[v].add(slope, bend, -(right * dx + down * dy));
+        let (slope, bend) = seen.by_corner(k);
+        let [dx, dy] = motions[*v as usize];
+        sum.places[*v as usize].add(slope, bend, -(right * dx + down * dy));
     }
 }
 
@@ -395,7 +403,7 @@ impl Shade {
         match scene.params.shading {
             Shading::Flat => {
                 let mut this = Self::flat(scene, view, face, p, (normal, length));
-                if face.surface.paint.is_some() {
+                if face.surface.paint.is_some() || !this.is_even() {
                     this.share(face.vertices.map(|v| points[v as usize]));
                 }
                 this
@@ -413,15 +421,16 @@ impl Shade {
     ) -> Self {
         let v = &scene.views[view];
         let ambient = scene.params.ambient;
-        let albedo = face.surface.albedo.iter().map(|a| f64::from(*a)).sum::<f64>() / 3.0;
+        let albedos = face.surface.albedo.map(f64::from);
+        let albedo = albedos.iter().sum::<f64>() / 3.0;
         let centroid = (p[0] + p[1] + p[2]) / 3.0;
         let side = if v.sees_front(centroid, normal) { 1.0 } else { -1.0 };
         let cosine = side * normal.dot(v.to_light);
         if face.surface.is_unlit {
-            return Self { corners: [albedo; 3], ..Self::default() };
+            return Self { corners: albedos, ..Self::default() };
         }
         let diffuse = albedo * (1.0 - ambient);
-        let corners = [albedo * ambient + diffuse * cosine.max(0.0); 3];
+        let corners = albedos.map(|a| a * ambient + a * (1.0 - ambient) * cosine.max(0.0));
         if cosine <= 0.0 || length == 0.0 {
             return Self { corners, ..Self::default() };
         }
@@ -455,6 +464,12 @@ impl Shade {
         }
         this.share(face.vertices.map(|v| points[v as usize]));
         this
+    }
+
+    /// Whether the corners have one luminance.
+    fn is_even(&self) -> bool {
+        let [a, b, c] = self.corners;
+        a == b && b == c
     }
 
     /// Finds the corners' shares.

@@ -8,16 +8,35 @@ use super::{
     with_vertex_normals,
 };
 use crate::{
-    mesh::{EditMesh, Mesh, VertexId, shapes},
+    mesh::{AttributeLayer, EditMesh, Mesh, Semantic, VertexId, shapes},
     render::{
-        RenderParams, Scene, Shading,
+        self, RenderParams, Scene, Shading,
         view::{Projection, ViewParams, cameras, directions},
     },
 };
 
+/// The same mesh, dark on one side and bright on the other.
+fn coloured(mut mesh: Mesh) -> Mesh {
+    if mesh.layers.is_empty() {
+        mesh.face_wedges.clone_from(&mesh.faces);
+    }
+    let mut values = vec![0.0; 4 * mesh.positions.len()];
+    for (vertices, wedges) in mesh.faces.iter().zip(&mesh.face_wedges) {
+        for (v, w) in vertices.iter().zip(wedges) {
+            let bright = 0.5 + 0.4 * libm::sin(3.0 * mesh.positions[*v as usize].x) as f32;
+            values[4 * *w as usize..][..4].copy_from_slice(&[bright, bright, bright, 1.0]);
+        }
+    }
+    mesh.layers.push(AttributeLayer { semantic: Semantic::Color(0), width: 4, values });
+    mesh
+}
+
 /// A torus in a few views, and a coarser one that stands for it.
 fn stage(shading: Shading, projection: Projection) -> (ViewSet, Mesh) {
-    let original = shapes::torus(40, 24, 0.0);
+    stage_of(shapes::torus(40, 24, 0.0), shading, projection)
+}
+
+fn stage_of(original: Mesh, shading: Shading, projection: Projection) -> (ViewSet, Mesh) {
     let view_params = ViewParams {
         directions: directions(6).unwrap(),
         fov_degrees: 60.0,
@@ -86,6 +105,35 @@ fn places_of_flat_triangles() {
         let (set, mesh) = stage(Shading::Flat, projection);
         let scene = scene_of_edit_mesh(&EditMesh::new(mesh).unwrap(), &set.pictures);
         check((&set, &scene), false, 0.05, &move_place, &|s, v| s.places[v].gradient);
+    }
+}
+
+/// Colours travel with the corners, and are lit as the triangle is.
+#[test]
+fn places_of_flat_triangles_with_colours() {
+    let original = coloured(shapes::torus(40, 24, 0.0));
+    let (set, mesh) = stage_of(original, Shading::Flat, Projection::Perspective);
+    let scene = scene_of_edit_mesh(&EditMesh::new(coloured(mesh)).unwrap(), &set.pictures);
+    check((&set, &scene), false, 0.05, &move_place, &|s, v| s.places[v].gradient);
+}
+
+#[test]
+fn the_energy_is_that_of_the_pictures() {
+    for (is_coloured, shading) in [
+        (false, Shading::Flat),
+        (true, Shading::Flat),
+        (false, Shading::Smooth),
+        (true, Shading::Smooth),
+    ] {
+        let dressed = |mesh| if is_coloured { coloured(mesh) } else { mesh };
+        let original = dressed(shapes::torus(40, 24, 0.0));
+        let (set, mesh) = stage_of(original, shading, Projection::Perspective);
+        let scene = scene_of_edit_mesh(&EditMesh::new(dressed(mesh)).unwrap(), &set.pictures);
+        let drawn = render::reference(&scene).pictures;
+        let wanted = render::energy(&set.pictures.views, &set.reference, &drawn) as f64;
+        let found = slopes(&scene, &set.reference, false).energy;
+        // Luminances of the pictures are rounded.
+        assert!((found / wanted - 1.0).abs() < 0.01, "{is_coloured} {shading:?}: {found} {wanted}");
     }
 }
 

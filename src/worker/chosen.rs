@@ -7,7 +7,7 @@ use crate::{
     jobs::spec::{Effort, Method, Spec, Topology},
 };
 
-use super::budget;
+use super::{automatic::Model, budget};
 
 /// A setting.
 #[derive(Serialize)]
@@ -37,6 +37,8 @@ pub(super) struct Facts<'a> {
     pub n_locked: usize,
     /// Triangles of the levels that are optimized, before that.
     pub n_optimized: usize,
+    /// What decided the rest.
+    pub model: &'a Model<'a>,
 }
 
 impl Chosen {
@@ -46,10 +48,10 @@ impl Chosen {
         let (render, usual) = (&spec.render, &default.render);
         let views = render.view_count();
         Self {
-            image_size: plain(render.image_size, usual.image_size),
+            image_size: image_size(spec, facts),
             views: plain(views, usual.view_count()),
             effort: plain(spec.effort, default.effort),
-            start_factor: plain(spec.start_factor, default.start_factor),
+            start_factor: start_factor(spec, facts),
             topology: topology(spec, model, facts),
             optimization_evaluations: evaluations(spec, facts),
             locked_vertices: locked(spec, facts),
@@ -61,6 +63,18 @@ impl Chosen {
 fn plain<T: PartialEq>(value: T, default: T) -> Choice<T> {
     let why = if value == default { "default" } else { "asked" };
     Choice { value, why: why.into() }
+}
+
+fn image_size(spec: &Spec, facts: &Facts<'_>) -> Choice<u32> {
+    let is_asked = facts.asked.render.image_size > 0;
+    let why = if is_asked { "asked".into() } else { facts.model.why_image_size(spec) };
+    Choice { value: spec.render.image_size, why }
+}
+
+fn start_factor(spec: &Spec, facts: &Facts<'_>) -> Choice<f64> {
+    let is_asked = facts.asked.start_factor > 0.0;
+    let why = if is_asked { "asked".into() } else { facts.model.why_start_factor() };
+    Choice { value: spec.start_factor, why }
 }
 
 fn topology(spec: &Spec, model: &IngestReport, facts: &Facts<'_>) -> Choice<Topology> {
@@ -115,15 +129,20 @@ mod tests {
             "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 5\nv 1 0 5\nv 0 1 5\nv 0 0 9\nv 1 0 9\nv 0 1 9\n";
         let text = points.to_owned() + "f 1 2 3\nf 4 5 6\nf 7 8 9\n";
         let model = io::read("a.obj", text.as_bytes(), &io::Limits::default()).unwrap().report;
-        let facts = Facts { asked, n_locked: 0, n_optimized: 500 };
-        serde_json::to_value(Chosen::of(&spec, &model, &facts)).unwrap()
+        let settled = Model { report: &model, n_triangles: 70_000, n_simplified: None };
+        let facts = Facts { asked, n_locked: 0, n_optimized: 500, model: &settled };
+        serde_json::to_value(Chosen::of(&settled.settle(&spec), &model, &facts)).unwrap()
     }
 
     #[test]
     fn every_choice_has_its_reason() {
         let mut asked = Spec::new(vec![500]);
         let found = chosen(&asked, Topology::Free);
-        assert_eq!(found["image_size"], json!({ "value": 256, "why": "default" }));
+        for (field, value) in [("image_size", json!(256)), ("start_factor", json!(8.0))] {
+            assert_eq!(found[field]["value"], value);
+            let why = found[field]["why"].as_str().unwrap();
+            assert!(why.contains("a model of several parts or with textures"), "{why}");
+        }
         assert_eq!(found["views"], json!({ "value": 20, "why": "default" }));
         let why = "the model has 3 parts and 0 edges of more than two triangles";
         assert_eq!(found["topology"], json!({ "value": "free", "why": why }));

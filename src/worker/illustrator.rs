@@ -73,6 +73,7 @@ mod tests {
 
     fn plan(n_coarsest: usize, change: impl FnOnce(&mut Spec)) -> (usize, bool) {
         let mut spec = Spec::new(vec![8000, n_coarsest as u32]);
+        spec.render.image_size = 256;
         change(&mut spec);
         let plan = Plan::new(&spec, n_coarsest);
         (plan.n_sets, plan.unseen)

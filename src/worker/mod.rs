@@ -10,6 +10,7 @@
 
 pub mod agent;
 pub mod attempt;
+mod automatic;
 mod branch;
 mod budget;
 mod chain;

@@ -28,6 +28,7 @@ use crate::{
 };
 
 use super::{
+    automatic::Model,
     chosen::Facts,
     critic::Critic,
     gauge::Gauge,
@@ -155,7 +156,9 @@ pub fn run(
     let (original, simplified) =
         (read(&inputs.original)?, inputs.simplified.as_ref().map(read).transpose()?);
     let ingest = original.report;
-    let spec = &settled(asked, &ingest, original.mesh.faces.len());
+    let n_simplified = simplified.as_ref().map(|s| s.mesh.faces.len());
+    let model = Model { report: &ingest, n_triangles: original.mesh.faces.len(), n_simplified };
+    let spec = &model.settle(asked);
     let asked_marks = original.marks;
     let original = prepared(spec, original.mesh);
     let (critic, gauge) = (OnceLock::new(), Gauge::new(&original, params::glb_options(spec)));
@@ -169,7 +172,7 @@ pub fn run(
     if let Some(simplified) = &simplified {
         recorder.announce("simplified mesh", &simplified.report)?;
     }
-    let mut facts = Facts { asked, n_locked: marks.n_locked(), n_optimized: 0 };
+    let mut facts = Facts { asked, n_locked: marks.n_locked(), n_optimized: 0, model: &model };
     tell_of_marks(&marks, &mut recorder)?;
     let mut figures = Vec::new();
     let pictures = params::pictures(spec, &original);
@@ -217,16 +220,6 @@ fn tell_of_marks(marks: &Marks, recorder: &mut Recorder<'_>) -> Result<(), Pipel
         recorder.note("VERTICES_WEIGHED", text)?;
     }
     Ok(())
-}
-
-/// The specification, with what was left to the model decided.
-fn settled(asked: &Spec, model: &io::IngestReport, n_original: usize) -> Spec {
-    let topology = match asked.topology {
-        Topology::Auto if model.components > 1 || model.non_manifold_edges > 0 => Topology::Free,
-        Topology::Auto => Topology::Preserve,
-        explicit => explicit,
-    };
-    Spec { topology, ..asked.clone() }.resolved(n_original)
 }
 
 fn chosen_topology(topology: Topology) -> &'static str {

@@ -53,7 +53,7 @@ async fn every_call(server: &Server, lease: &wire::Lease) -> Vec<Result<(), Stat
 
 #[tokio::test]
 async fn a_stale_epoch_is_refused_on_every_call() {
-    let server = Server::start_with(&["--workers=0", "--lease-secs=0.2", "--heartbeat-secs=0.1"]);
+    let server = Server::start_with(&["--workers=0", "--lease-secs=2", "--heartbeat-secs=0.1"]);
     let mut client = server.client();
     let name = create(&mut client).await;
     let old = claim(&server, "slow").await.lease.unwrap();
@@ -76,7 +76,7 @@ async fn a_stale_epoch_is_refused_on_every_call() {
 
 #[tokio::test]
 async fn only_the_files_of_the_completing_attempt_are_visible() {
-    let server = Server::start_with(&["--workers=0", "--lease-secs=0.2", "--heartbeat-secs=0.1"]);
+    let server = Server::start_with(&["--workers=0", "--lease-secs=2", "--heartbeat-secs=0.1"]);
     let mut client = server.client();
     let name = create(&mut client).await;
     let mut worker = server.worker_client();

@@ -93,7 +93,7 @@ pub struct Render {
     pub n_views: u32,
     /// Directions from the model's centre to the eyes (any length but 0), instead of `n_views`.
     pub custom_views: Vec<[f64; 3]>,
-    /// Pixels along each side, 64 to 1024, a multiple of 8.
+    /// Pixels along each side, 64 to 1024, a multiple of 8; 0: as the finest level needs.
     pub image_size: u32,
     /// Full field of view in degrees (perspective only), 5 to 120.
     pub fov_degrees: f64,
@@ -121,7 +121,7 @@ impl Default for Render {
         Self {
             n_views: 20,
             custom_views: Vec::new(),
-            image_size: 256,
+            image_size: 0,
             fov_degrees: 60.0,
             projection: Projection::Perspective,
             background: 0.5,
@@ -180,8 +180,8 @@ pub struct Spec {
     /// Whether collapses must keep the topology.
     #[serde(default)]
     pub topology: Topology,
-    /// The image-driven stage starts at this multiple of the largest target.
-    #[serde(default = "default_start_factor")]
+    /// The image-driven stage starts at this multiple of the largest target, 1 to 1000; 0: as the model needs.
+    #[serde(default)]
     pub start_factor: f64,
     /// Weight of the surface against the boundary in the memoryless cost, 0 to 1.
     #[serde(default = "default_lambda")]
@@ -212,9 +212,6 @@ pub struct Spec {
     pub seed: u64,
 }
 
-fn default_start_factor() -> f64 {
-    4.0
-}
 fn default_lambda() -> f64 {
     0.5
 }
@@ -235,7 +232,7 @@ impl Spec {
             method: Method::default(),
             effort: Effort::default(),
             topology: Topology::default(),
-            start_factor: default_start_factor(),
+            start_factor: 0.0,
             lambda: default_lambda(),
             lock: Vec::new(),
             hard_edge_degrees: default_hard_edge_degrees(),
@@ -279,7 +276,9 @@ impl Spec {
             Some(_) => self.validate_given(&mut faults),
             None => self.validate_levels(&mut faults),
         }
-        range(&mut faults, "start_factor", self.start_factor, 1.0, 1000.0);
+        if self.start_factor != 0.0 {
+            range(&mut faults, "start_factor", self.start_factor, 1.0, 1000.0);
+        }
         range(&mut faults, "lambda", self.lambda, 0.0, 1.0);
         range(&mut faults, "max_secs", self.max_secs, 0.0, 1e9);
         range(&mut faults, "hard_edge_degrees", self.hard_edge_degrees, 1.0, 180.0);
@@ -339,8 +338,10 @@ impl Render {
                 fault(&format!("custom_views[{i}]"), text);
             }
         }
-        if !(64..=1024).contains(&self.image_size) || !self.image_size.is_multiple_of(8) {
-            let text = format!("{} pixels: use 64 to 1024, a multiple of 8", self.image_size);
+        let is_size = (64..=1024).contains(&self.image_size) && self.image_size.is_multiple_of(8);
+        if self.image_size != 0 && !is_size {
+            let size = self.image_size;
+            let text = format!("{size} pixels: use 64 to 1024, a multiple of 8, or leave it out");
             fault("image_size", text);
         }
         if self.interior_views as usize > self.view_count() {

@@ -33,6 +33,8 @@ pub(super) struct Params {
     pub(super) n_nodes: u32,
     /// Nodes of the pool.
     pub(super) n_pool: u32,
+    /// log2 of the invocations that share an item of a move (see item.wgsl).
+    pub(super) lane_bits: u32,
 }
 
 /// A kernel.
@@ -81,10 +83,11 @@ struct Recipe {
     unrolled: Option<(u32, u32)>,
 }
 
+const ITEM: &str = include_str!("../shaders/item.wgsl");
+
 const KERNELS: [Recipe; 11] = {
     const COMMON: &str = include_str!("../shaders/common.wgsl");
     const LISTS: &str = include_str!("../shaders/lists.wgsl");
-    const ITEM: &str = include_str!("../shaders/item.wgsl");
     const JUDGE: &str = include_str!("../shaders/judge.wgsl");
     const CLEAR: &[&str] = &[COMMON, LISTS, include_str!("../shaders/clear.wgsl")];
     const APPEND: &[&str] = &[COMMON, LISTS, include_str!("../shaders/append.wgsl")];
@@ -122,6 +125,11 @@ const KERNELS: [Recipe; 11] = {
 };
 
 impl Kernel {
+    /// Whether lanes share its items: those of moves.
+    fn is_shared(self) -> bool {
+        KERNELS[self as usize].text.contains(&ITEM)
+    }
+
     /// The cheapest kernel that judges moves of `n_added` triangles that come and `n_removed`
     /// vectors of ids that go.
     pub(super) fn judging(is_plain: bool, n_added: u32, n_removed: u32) -> Self {
@@ -190,7 +198,8 @@ impl Kernels {
             pass.set_bind_group(index as u32, *group, &[]);
         }
         pass.set_immediates(0, bytemuck::bytes_of(params));
-        let (x, y) = grid(params.n_items);
+        let lane_bits = if kernel.is_shared() { params.lane_bits } else { 0 };
+        let (x, y) = grid(params.n_items << lane_bits);
         pass.dispatch_workgroups(x, y, 1);
     }
 
@@ -340,9 +349,8 @@ mod tests {
     use wgpu::naga;
 
     use super::super::{
-        CUT_OFF,
         lists::{Counters, MAX_DEPTH},
-        pack::BAND_CELLS,
+        pack::{BAND_CELLS, CUT_OFF},
         work::{INPUT_WIDTH_BITS, TEXELS_WIDTH_BITS},
     };
     use super::*;
@@ -395,7 +403,7 @@ mod tests {
             };
         }
         let params = mirror!(Params: first_item, n_items, output_at, size, first_center,
-            sub_bits, background, view, n_nodes, n_pool);
+            sub_bits, background, view, n_nodes, n_pool, lane_bits);
         assert_eq!(members(&module, "Params"), params);
         let counters =
             mirror!(Counters: pool_used, nodes_used, pool_short, too_deep, cut_off, unsorted);

@@ -91,6 +91,8 @@ pub(super) struct Builder<'a> {
     pub(super) work: &'a mut Work,
     pub(super) scene: &'a Scene,
     pub(super) reference: &'a Reference,
+    /// log2 of the lanes that share an item.
+    pub(super) lane_bits: u32,
 }
 
 impl Builder<'_> {
@@ -101,7 +103,8 @@ impl Builder<'_> {
         let mut n_pool = n_pool;
         let mut stacks = Stacks::new(self.gpu, self.kernels, self.scene, self.n_pixels())?;
         loop {
-            let lists = Lists::new(self.gpu, self.kernels, self.scene, n_pool)?;
+            let mut lists = Lists::new(self.gpu, self.kernels, self.scene, n_pool)?;
+            lists.params.lane_bits = self.lane_bits;
             let mut used = Counters::default();
             let mut view = 0;
             while view < self.scene.n_views() {

@@ -28,7 +28,7 @@ use self::{
     work::Work,
 };
 use super::{
-    device::Gpu,
+    device::{Gpu, SOFTWARE},
     evaluator::{Evaluator, Reference, RenderError},
     lattice::PixelRect,
     moves::Move,
@@ -38,10 +38,10 @@ use super::{
 
 /// Moves of one submission.
 const BATCH: usize = 512;
-/// Instead of a sum: the driver ended the item's loops early (`CUT_OFF` in common.wgsl).
-const CUT_OFF: u32 = 1 << 31;
 /// What is left of an item's cells when it has to be cut smaller.
 const CUT_TO: u32 = 8;
+/// log2 of the lanes that share an item where there are thousands of them: one for each cell.
+const SHARED: u32 = BAND_CELLS.ilog2();
 
 /// The device evaluator.
 pub struct Device {
@@ -66,8 +66,19 @@ struct Made {
 }
 
 impl Device {
-    /// Renders the scene on an open device and gets ready to judge moves.
+    /// Renders the scene on an open device and gets ready to judge moves. A processor computes an
+    /// item in one lane, a GPU in many.
     pub(super) fn new(gpu: Gpu, scene: &Scene, reference: Reference) -> Result<Self, RenderError> {
+        let lane_bits = if gpu.info.kind == SOFTWARE { 0 } else { SHARED };
+        Self::with_lanes(gpu, scene, reference, lane_bits)
+    }
+
+    fn with_lanes(
+        gpu: Gpu,
+        scene: &Scene,
+        reference: Reference,
+        lane_bits: u32,
+    ) -> Result<Self, RenderError> {
         let mut kernels = Kernels::new(&gpu);
         let mut work = Work::new(&gpu, &kernels, scene.texels.words())?;
         let n_pool = (scene.n_pixels() / 32) as u32;
@@ -77,6 +88,7 @@ impl Device {
             work: &mut work,
             scene,
             reference: &reference,
+            lane_bits,
         };
         let lists = builder.build(n_pool)?;
         kernels.prepare(&gpu, &[Kernel::Update, Kernel::Bounds, Kernel::Fronts])?;
@@ -175,17 +187,19 @@ impl Device {
         let order = Order::of(&packed.items);
         self.kernels.prepare(&self.gpu, &order.kernels())?;
         let mut words = order.words(&packed);
-        self.work.write(&self.gpu, &self.kernels, &mut words, order.items.len())?;
+        let n_results = self.n_results(order.items.len());
+        self.work.write(&self.gpu, &self.kernels, &mut words, n_results)?;
         let mut encoder = encoder(&self.gpu);
         self.dispatch_judging(&mut encoder, &order);
         let mut cut_off = BTreeSet::new();
-        self.work.finish(&self.gpu, encoder, order.items.len(), None, |sums| {
-            for (k, sum) in order.items.iter().zip(sums) {
+        let n_lanes = self.n_results(1);
+        self.work.finish(&self.gpu, encoder, n_results, None, |sums| {
+            for (k, sums) in order.items.iter().zip(sums.chunks(n_lanes)) {
                 let item = &packed.items[*k as usize];
                 let owner = item.owner as usize;
-                deltas[owner] += item.weighed(scene, *sum);
-                if *sum == CUT_OFF {
-                    cut_off.insert(owner);
+                match item.weighed(scene, sums) {
+                    Some(delta) => deltas[owner] += delta,
+                    None => _ = cut_off.insert(owner),
                 }
             }
         })?;
@@ -204,6 +218,11 @@ impl Device {
         Ok(deltas)
     }
 
+    /// Numbers of output of so many items.
+    fn n_results(&self, n_items: usize) -> usize {
+        n_items << self.lists.params.lane_bits
+    }
+
     /// Adds the dispatches that judge the items, one for each kernel.
     fn dispatch_judging(&self, encoder: &mut wgpu::CommandEncoder, order: &Order) {
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
@@ -211,7 +230,7 @@ impl Device {
             let params = Params {
                 first_item: items.start as u32,
                 n_items: items.len() as u32,
-                output_at: items.start as u32,
+                output_at: self.n_results(items.start) as u32,
                 ..self.lists.params
             };
             let bound = [&self.lists.bound_read, self.work.bound()];
@@ -235,23 +254,22 @@ impl Device {
             [t.x0 as u32, t.y0 as u32, end, *view as u32]
         }));
         let n_items = order.items.len();
-        let n_results = n_items + tiles.len();
+        let (n_lanes, n_sums) = (self.n_results(1), self.n_results(n_items));
+        let n_results = n_sums + tiles.len();
         self.work.write(&self.gpu, &self.kernels, &mut words, n_results)?;
         let mut encoder = encoder(&self.gpu);
         self.dispatch_judging(&mut encoder, &order);
         self.dispatch_update(&mut encoder, n_items, (tiles_at, tiles.len()));
         let bounds = &mut self.bounds;
         self.work.finish(&self.gpu, encoder, n_results, Some(&self.lists.counters), |words| {
-            let (sums, rest) = words.split_at(n_items);
+            let (sums, rest) = words.split_at(n_sums);
             let (far, counters) = rest.split_at(tiles.len());
             for ((view, tile), far) in tiles.iter().zip(far) {
                 bounds[*view].set(tile, *far);
             }
-            let judged = sums[..order.n_judged()].iter();
-            let whole = judged.clone().all(|sum| *sum != CUT_OFF);
-            let items = order.items.iter().map(|k| &packed.items[*k as usize]);
-            let delta = items.zip(judged).map(|(item, sum)| item.weighed(scene, *sum)).sum();
-            Made { delta: whole.then_some(delta), used: Counters::of(counters) }
+            let judged = order.items[..order.n_judged()].iter().zip(sums.chunks(n_lanes));
+            let deltas = judged.map(|(k, sums)| packed.items[*k as usize].weighed(scene, sums));
+            Made { delta: deltas.sum(), used: Counters::of(counters) }
         })
     }
 
@@ -269,7 +287,7 @@ impl Device {
         let params = Params {
             first_item: tiles_at as u32,
             n_items: n_tiles as u32,
-            output_at: n_items as u32,
+            output_at: self.n_results(n_items) as u32,
             ..self.lists.params
         };
         let bound = [&self.lists.bound_read, self.work.bound()];
@@ -296,6 +314,7 @@ impl Device {
             work: &mut self.work,
             scene,
             reference: &self.reference,
+            lane_bits: self.lists.params.lane_bits,
         };
         self.lists = builder.build(used.pool_used.saturating_mul(2))?;
         self.look_again(scene)

@@ -27,6 +27,8 @@ const PAINT_WORDS: usize = 6;
 pub(super) const ITEM_WORDS: usize = 2;
 /// No triangle.
 const NIL: u32 = u32::MAX;
+/// Instead of a sum: the driver ended the item's loops early (`CUT_OFF` in common.wgsl).
+pub(super) const CUT_OFF: u32 = 1 << 31;
 /// Cells of 2 × 2 pixels of a work item, at most (`BAND_CELLS` in evaluate.wgsl).
 pub(super) const BAND_CELLS: u32 = 64;
 
@@ -66,9 +68,11 @@ impl Item {
         ]
     }
 
-    /// What its sum is in the energy.
-    pub(super) fn weighed(&self, scene: &Scene, sum: u32) -> i64 {
-        i64::from(scene.views[self.view as usize].weight) * i64::from(sum as i32)
+    /// What the sums of its lanes are in the energy; `None` if the driver cut one of them off.
+    pub(super) fn weighed(&self, scene: &Scene, sums: &[u32]) -> Option<i64> {
+        let weight = i64::from(scene.views[self.view as usize].weight);
+        let whole = !sums.contains(&CUT_OFF);
+        whole.then(|| weight * sums.iter().map(|sum| i64::from(*sum as i32)).sum::<i64>())
     }
 
     /// Pixels / 4.

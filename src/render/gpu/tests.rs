@@ -16,7 +16,7 @@ use super::{
         scene::Scene,
         twin::Twin,
     },
-    Device, Gpu,
+    Device, Gpu, SHARED,
 };
 
 /// The first usable adapter; says so when there is none.
@@ -28,15 +28,23 @@ pub(super) fn open() -> Option<Gpu> {
     Some(Gpu::open(&adapter?).expect("the adapter opens"))
 }
 
-fn make(scene: &Scene, reference: Reference) -> Box<dyn Evaluator> {
+fn make(scene: &Scene, reference: Reference, lane_bits: u32) -> Device {
     let gpu = open().expect("there was an adapter a moment ago");
-    Box::new(Device::new(gpu, scene, reference).expect("the lists are built"))
+    Device::with_lanes(gpu, scene, reference, lane_bits).expect("the lists are built")
 }
 
 #[test]
 fn the_device_keeps_the_contract() {
     if open().is_some() {
-        contract::check_all(&make, 40);
+        contract::check_all(&|scene, reference| Box::new(make(scene, reference, 0)), 40);
+    }
+}
+
+/// As GPUs are used, on whatever there is.
+#[test]
+fn the_device_keeps_the_contract_where_lanes_share_items() {
+    if open().is_some() {
+        contract::check_all(&|scene, reference| Box::new(make(scene, reference, SHARED)), 10);
     }
 }
 
@@ -68,11 +76,25 @@ pub(super) fn random_moves(scene: &Scene, rng: &mut TestRng, n: usize) -> Vec<Mo
 
 /// Device and twin side by side: batches of several sizes, then a few commits, again and again.
 fn check_against_twin(look: Look, n: usize, sizes: &[usize], n_rounds: usize) {
-    let Some(gpu) = open() else { return };
+    for lane_bits in [0, SHARED] {
+        check_lanes_against_twin(lane_bits, look, n, sizes, n_rounds);
+    }
+}
+
+fn check_lanes_against_twin(
+    lane_bits: u32,
+    look: Look,
+    n: usize,
+    sizes: &[usize],
+    n_rounds: usize,
+) {
+    if open().is_none() {
+        return;
+    }
     let mut scene = contract::scene(n, look);
     let reference = raster::reference(&scene);
     let mut twin = Twin::new(&scene, &reference);
-    let mut device = Device::new(gpu, &scene, reference).unwrap();
+    let mut device = make(&scene, reference, lane_bits);
     let mut rng = TestRng::deterministic_rng(RngAlgorithm::ChaCha);
     for round in 0..n_rounds {
         for size in sizes {

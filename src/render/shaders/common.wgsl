@@ -29,6 +29,7 @@ struct Params {
     view: u32,
     n_nodes: u32,
     n_pool: u32,
+    lane_bits: u32,
 }
 var<immediate> params: Params;
 

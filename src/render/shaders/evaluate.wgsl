@@ -65,11 +65,15 @@ fn evaluate(
     @builtin(global_invocation_id) id: vec3<u32>,
     @builtin(num_workgroups) n_groups: vec3<u32>,
 ) {
-    let index = item_index(id, n_groups);
-    if index >= params.n_items {
+    let place = item_index(id, n_groups);
+    if place >> params.lane_bits >= params.n_items {
         return;
     }
-    let item = load_item(params.first_item + index);
+    let item = load_item(place);
+    if item.n_columns == 0u {
+        output[params.output_at + place] = 0u;
+        return;
+    }
     let n_cells = item.n_columns * item.n_rows;
     for (var slot = 0u; slot < n_cells; slot += 1u) {
         nearest[slot] = vec4<u32>(OUTSIDE);
@@ -111,5 +115,5 @@ fn evaluate(
         }
     }
     let all = sum.x + sum.y + sum.z + sum.w + change_of_rest(item, put_off);
-    output[params.output_at + index] = select(bitcast<u32>(all), CUT_OFF, was_cut_off());
+    output[params.output_at + place] = select(bitcast<u32>(all), CUT_OFF, was_cut_off());
 }

@@ -16,11 +16,22 @@ struct Item {
     n_removed: u32,
 }
 
-fn load_item(index: u32) -> Item {
+// What an invocation does: an item, or one cell of it where 64 lanes share an item. A lane beyond
+// the item's last cell has no cells.
+fn load_item(place: u32) -> Item {
+    let index = params.first_item + (place >> params.lane_bits);
     let a = word(2u * index);
     let b = word(2u * index + 1u);
-    return Item(i32(a.x & 0xffffu), i32(a.x >> 16u), a.y & 0xffffu, a.y >> 16u, a.z,
+    var item = Item(i32(a.x & 0xffffu), i32(a.x >> 16u), a.y & 0xffffu, a.y >> 16u, a.z,
         b.x, b.y, b.z, b.w);
+    if params.lane_bits > 0u {
+        let lane = place & ((1u << params.lane_bits) - 1u);
+        item.x += 2 * i32(lane % item.n_columns);
+        item.y += 2 * i32(lane / item.n_columns);
+        item.n_columns = select(0u, 1u, lane < item.n_columns * item.n_rows);
+        item.n_rows = 1u;
+    }
+    return item;
 }
 
 fn one_of(face: vec4<u32>, ids: vec4<u32>) -> vec4<bool> {

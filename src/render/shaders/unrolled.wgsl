@@ -114,11 +114,15 @@ fn evaluate(
     @builtin(global_invocation_id) id: vec3<u32>,
     @builtin(num_workgroups) n_groups: vec3<u32>,
 ) {
-    let index = item_index(id, n_groups);
-    if index >= params.n_items {
+    let place = item_index(id, n_groups);
+    if place >> params.lane_bits >= params.n_items {
         return;
     }
-    let item = load_item(params.first_item + index);
+    let item = load_item(place);
+    if item.n_columns == 0u {
+        output[params.output_at + place] = 0u;
+        return;
+    }
     var mv: Move;
     mv.going.g{m} = ids(item, {m}u);
     mv.t{k} = ready(item, {k}u);
@@ -150,5 +154,5 @@ fn evaluate(
         rest |= select(vec2<u32>(bit, 0u), vec2<u32>(0u, bit), k > 31u);
     }
     let all = sum.x + sum.y + sum.z + sum.w + change_of_rest(item, rest);
-    output[params.output_at + index] = select(bitcast<u32>(all), CUT_OFF, was_cut_off());
+    output[params.output_at + place] = select(bitcast<u32>(all), CUT_OFF, was_cut_off());
 }

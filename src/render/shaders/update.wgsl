@@ -109,11 +109,14 @@ fn update(
     @builtin(global_invocation_id) id: vec3<u32>,
     @builtin(num_workgroups) n_groups: vec3<u32>,
 ) {
-    let index = item_index(id, n_groups);
-    if index >= params.n_items {
+    let place = item_index(id, n_groups);
+    if place >> params.lane_bits >= params.n_items {
         return;
     }
-    let item = load_item(params.first_item + index);
+    let item = load_item(place);
+    if item.n_columns == 0u {
+        return;
+    }
     take_out_all(item);
     for (var k = 0u; k < item.n_added; k += 1u) {
         enter_triangle(item, item.added_at + 3u * k);

@@ -80,7 +80,7 @@ fn simplify_to_wire(spec: &Spec) -> v1::SimplifySpec {
         method: to_wire(&METHODS, spec.method),
         effort: to_wire(&EFFORTS, spec.effort),
         topology: to_wire(&TOPOLOGIES, spec.topology),
-        start_factor: Some(spec.start_factor),
+        start_factor: (spec.start_factor != 0.0).then_some(spec.start_factor),
         surface_weight: Some(spec.lambda),
         max_d2: 0.0,
         level_max_d2: spec.max_d2.clone(),
@@ -137,7 +137,7 @@ fn render_to_wire(render: &Render) -> v1::RenderSpec {
     v1::RenderSpec {
         n_views: Some(render.n_views),
         custom_views: render.custom_views.iter().map(direction).collect(),
-        image_size: Some(render.image_size),
+        image_size: (render.image_size > 0).then_some(render.image_size),
         fov_degrees: Some(render.fov_degrees),
         projection: to_wire(&PROJECTIONS, render.projection),
         background: Some(render.background),
