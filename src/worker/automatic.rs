@@ -113,7 +113,7 @@ impl Model<'_> {
         let has = |size: u32| n_views * u64::from(size).pow(2);
         match spec.effort {
             _ if has(SIZES[0]) >= wanted => SIZES[0],
-            Effort::Balanced | Effort::Best if 2 * has(SIZES[1]) < wanted => SIZES[2],
+            Effort::Best if 2 * has(SIZES[1]) < wanted => SIZES[2],
             _ => SIZES[1],
         }
     }
@@ -130,7 +130,7 @@ impl Model<'_> {
             (self.row(), self.finest(spec).unwrap_or(0));
         format!(
             "default: {kind} is seen best with {pixels_per_triangle} pixels or more, of all views together, for each of \
-             {n} triangles; 1,024 only at efforts balanced and best"
+             {n} triangles; 1,024 only at effort best"
         )
     }
 
@@ -171,7 +171,7 @@ mod tests {
     #[test]
     fn pictures_and_start_follow_from_model_and_levels() {
         let (plain, parts, textured) = (report(1, false), report(3, false), report(1, true));
-        let of = |n: u32| Spec::new(vec![100, n]);
+        let of = |n: u32, effort| Spec { effort, ..Spec::new(vec![100, n]) };
         for (n, scan, dressed) in [
             (500, (256, 4.0), (256, 8.0)),
             (1_400, (256, 4.0), (512, 8.0)),
@@ -180,12 +180,13 @@ mod tests {
             (13_000, (1024, 4.0), (1024, 4.0)),
             (4_000_000, (1024, 4.0), (1024, 4.0)),
         ] {
-            check(&plain, &of(n), scan);
-            check(&parts, &of(n), dressed);
-            check(&textured, &of(n), dressed);
-            let fast = |size: u32| size.min(512);
-            let spec = Spec { effort: Effort::Fast, ..of(n) };
-            check(&plain, &spec, (fast(scan.0), scan.1));
+            let best = of(n, Effort::Best);
+            check(&plain, &best, scan);
+            check(&parts, &best, dressed);
+            check(&textured, &best, dressed);
+            for effort in [Effort::Fast, Effort::Balanced] {
+                check(&plain, &of(n, effort), (scan.0.min(512), scan.1));
+            }
         }
     }
 
@@ -204,7 +205,7 @@ mod tests {
         spec = Spec { method: Method::Memoryless, ..Spec::new(vec![20_000]) };
         check(&report(1, false), &spec, (256, 4.0));
         spec.optimize = Optimize { max_evaluations: Some(1000), ..Optimize::default() };
-        check(&report(1, false), &spec, (1024, 4.0));
+        check(&report(1, false), &spec, (512, 4.0));
     }
 
     #[test]
