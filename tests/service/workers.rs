@@ -185,6 +185,12 @@ async fn an_attempt_goes_on_where_the_lost_one_left_its_last_checkpoint() {
     let (other, pieces) = found_by(&server, "w", "another").await;
     assert_eq!(pieces, [[0; 0]; 0]);
     put(&other, 0, b"new").await.unwrap();
+    // What is left of the checkpoint goes with the end of the job.
+    let outcome = wire::complete_request::Outcome::Succeeded(wire::Succeeded { files: vec![] });
+    let complete = wire::CompleteRequest { lease: Some(other), outcome: Some(outcome) };
+    worker.complete(complete).await.unwrap();
+    let folders = server.files_below("objects/jobs");
+    assert!(folders.iter().all(|file| !file.contains("checkpoint")), "{folders:?}");
     let restarts: Vec<_> = log(&mut client, &name, 0)
         .await
         .iter()
@@ -198,10 +204,4 @@ async fn an_attempt_goes_on_where_the_lost_one_left_its_last_checkpoint() {
     let told = |seq, lost, reason: &str| (seq, lost, reason.to_owned());
     let wanted = [told(3, 1, "RESUMED"), told(7, 2, "RESUMED"), told(1, 3, "STARTED_OVER")];
     assert_eq!(restarts, wanted);
-    // What is left of the checkpoint goes with the end of the job.
-    let outcome = wire::complete_request::Outcome::Succeeded(wire::Succeeded { files: vec![] });
-    let complete = wire::CompleteRequest { lease: Some(other), outcome: Some(outcome) };
-    worker.complete(complete).await.unwrap();
-    let folders = server.files_below("objects/jobs");
-    assert!(folders.iter().all(|file| !file.contains("checkpoint")), "{folders:?}");
 }
