@@ -55,9 +55,15 @@ pub(crate) struct ServeArgs {
     /// Seconds between a worker's signs of life; at most half the lease.
     #[arg(long, env = "LOOKALIKE_HEARTBEAT_SECS", default_value_t = 10.0, value_name = "SECS")]
     pub(crate) heartbeat_secs: f64,
-    /// A job fails as POISONED when it lost this many attempts.
+    /// A job fails as POISONED when this many workers have lost it.
     #[arg(long, env = "LOOKALIKE_MAX_ATTEMPTS", default_value_t = 3, value_name = "N")]
     pub(crate) max_attempts: u32,
+    /// A host that loses this many different jobs in a row gets no more for a while.
+    #[arg(long, env = "LOOKALIKE_MAX_IN_A_ROW", default_value_t = 3, value_name = "N")]
+    pub(crate) max_in_a_row: u32,
+    /// How long that is, in seconds.
+    #[arg(long, env = "LOOKALIKE_QUARANTINE_SECS", default_value_t = 600.0, value_name = "SECS")]
+    pub(crate) quarantine_secs: f64,
     /// Jobs that may wait at once.
     #[arg(long, env = "LOOKALIKE_MAX_QUEUED", default_value_t = 100_000, value_name = "N")]
     pub(crate) max_queued: u64,
@@ -161,8 +167,13 @@ impl ServeArgs {
             let text = "a lease must outlive one missed sign of life";
             faults.push(format!("--heartbeat-secs is more than half of --lease-secs: {text}"));
         }
-        if self.max_attempts == 0 {
-            faults.push("--max-attempts 0: use at least 1".into());
+        let quarantine = seconds(&mut faults, "--quarantine-secs", self.quarantine_secs);
+        for (flag, n) in
+            [("--max-attempts", self.max_attempts), ("--max-in-a-row", self.max_in_a_row)]
+        {
+            if n == 0 {
+                faults.push(format!("{flag} 0: use at least 1"));
+            }
         }
         let webhooks = self.webhooks.check(&mut faults);
         let places = self.stores.places(&self.data_dir, &mut faults);
@@ -175,7 +186,13 @@ impl ServeArgs {
             places,
             n_workers: self.workers,
             device: self.device,
-            terms: Terms { lease, heartbeat, max_lost: self.max_attempts },
+            terms: Terms {
+                lease,
+                heartbeat,
+                max_lost: self.max_attempts,
+                max_in_a_row: self.max_in_a_row,
+                quarantine,
+            },
             limits: Limits {
                 max_mesh_bytes: self.max_mesh_mib.saturating_mul(1 << 20),
                 max_queued: self.max_queued,

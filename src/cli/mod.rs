@@ -25,6 +25,7 @@ mod submit;
 mod token;
 mod watch;
 mod worker;
+mod workers;
 
 use std::process::ExitCode;
 
@@ -60,6 +61,8 @@ enum Command {
     Pin(jobs::PinArgs),
     /// Delete a job that has ended, with its results.
     Delete(jobs::DeleteArgs),
+    /// List the workers of a server, or take one back into service (administrators).
+    Workers(workers::WorkersArgs),
     /// Fetch the results of a job.
     Fetch(fetch::FetchArgs),
     /// Simplify a file in this process, without a server.
@@ -142,6 +145,7 @@ async fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Cancel(args) => jobs::cancel(args).await,
         Command::Pin(args) => jobs::pin(args).await,
         Command::Delete(args) => jobs::delete(args).await,
+        Command::Workers(args) => workers::run(args).await,
         Command::Fetch(args) => fetch::run(args).await,
         Command::Run(args) => run::run(args).await,
         Command::Optimize(args) => optimize::run(*args).await,

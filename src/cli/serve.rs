@@ -166,6 +166,7 @@ fn refresh(jobs: Jobs, observer: Arc<Observer>) -> telemetry::Refresh {
         Box::pin(async move {
             let counts = jobs.counts().await.map_err(|error| error.to_string())?;
             observer.depth(&counts);
+            observer.fleet(&jobs.workers().await.map_err(|error| error.to_string())?);
             Ok(())
         })
     })

@@ -7,6 +7,7 @@ use lookalike::worker::{
     agent::{self, WorkerConfig, WorkerError},
     confine,
     pipeline::{self, DeviceChoice},
+    supervisor,
 };
 use tokio_util::sync::CancellationToken;
 
@@ -39,6 +40,10 @@ pub(crate) struct WorkerArgs {
     /// Names this incarnation of the worker. Default: a new name.
     #[arg(long)]
     id: Option<String>,
+    /// Names what this worker runs on, when a machine has several devices. Default: the machine's name. A host that loses
+    /// several jobs in a row gets none for a while.
+    #[arg(long, env = "LOOKALIKE_HOST")]
+    host: Option<String>,
     /// A folder for the files of the job at work; it is emptied.
     #[arg(long, env = "LOOKALIKE_SCRATCH", value_name = "DIR")]
     scratch: Option<PathBuf>,
@@ -76,6 +81,7 @@ pub(crate) async fn run(args: WorkerArgs) -> Result<(), Failure> {
         url: args.connect,
         access: args.access.access(),
         id,
+        host: args.host.unwrap_or_else(|| supervisor::host_name("")),
         device: DeviceChoice(args.device),
         pipeline: pipeline::run,
         scratch,

@@ -36,6 +36,22 @@ pub enum Error {
         /// What holds instead.
         why: String,
     },
+    /// A host gets no jobs for now.
+    #[error(
+        "worker {host} is out of service: {why}; mend it, then say so with \
+         `lookalike workers reinstate {host}`{}",
+        again(*.until_ms)
+    )]
+    OutOfService {
+        /// Which.
+        host: String,
+        /// What speaks against it.
+        why: String,
+        /// When it gets jobs again by itself, milliseconds since 1970.
+        until_ms: Option<i64>,
+        /// It was found out just now.
+        is_news: bool,
+    },
     /// A batch of events leaves a gap.
     #[error("events from {first} on do not follow the {held} that are held: send them from {held}")]
     Gap {
@@ -121,6 +137,10 @@ pub enum Error {
     /// A background task died.
     #[error("a background task ended early: {0}")]
     Task(#[from] tokio::task::JoinError),
+}
+
+fn again(until_ms: Option<i64>) -> &'static str {
+    if until_ms.is_some() { "; it is tried again after a while" } else { "" }
 }
 
 /// What an owner may have only so much of.

@@ -4,8 +4,9 @@
 //!    that claimed it, while the job runs.
 //! 2. An attempt may be lost without blame (the worker handed it back, the machine restarted): only
 //!    losses that may be the job's own doing count towards `POISONED`.
+//! 3. A job that many workers lose is bad; a host that loses many jobs in a row is bad.
 //!
-//! Knows nothing of storage: the store asks [`verdict`] and writes the answer.
+//! Knows nothing of storage: the store asks [`blame`] and [`verdict`], and writes the answer.
 
 use std::time::Duration;
 
@@ -29,13 +30,47 @@ pub struct Terms {
     pub lease: Duration,
     /// How often workers are told to report.
     pub heartbeat: Duration,
-    /// A job is `POISONED` when it has lost this many attempts.
+    /// A job is `POISONED` when this many workers have lost it.
     pub max_lost: u32,
+    /// A host that loses this many different jobs in a row gets no more for a while.
+    pub max_in_a_row: u32,
+    /// How long that is.
+    pub quarantine: Duration,
 }
 
 impl Default for Terms {
     fn default() -> Self {
-        Self { lease: Duration::from_secs(30), heartbeat: Duration::from_secs(10), max_lost: 3 }
+        Self {
+            lease: Duration::from_secs(30),
+            heartbeat: Duration::from_secs(10),
+            max_lost: 3,
+            max_in_a_row: 3,
+            quarantine: Duration::from_mins(10),
+        }
+    }
+}
+
+/// Who asks for a job.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Claimant {
+    /// Names this incarnation.
+    pub worker: String,
+    /// The machine, or the device on it, that incarnations come and go on.
+    pub host: String,
+    /// Version of its program.
+    pub version: String,
+}
+
+/// A worker that names no host stands for itself.
+impl From<&str> for Claimant {
+    fn from(worker: &str) -> Self {
+        Self { worker: worker.into(), host: worker.into(), version: String::new() }
+    }
+}
+
+impl From<&Self> for Claimant {
+    fn from(who: &Self) -> Self {
+        who.clone()
     }
 }
 
@@ -101,8 +136,16 @@ impl Loss {
     }
 }
 
-/// What becomes of a running job whose attempt is lost, when `lost` attempts (this one included)
-/// count against it.
+/// A worker that loses the same job again and again (there may be no other) counts once in so many times.
+const LOSSES_A_WORKER: u32 = 3;
+
+/// How much speaks against a job: so many workers have lost it, so often in all.
+pub fn blame(n_workers: u32, n_losses: u32) -> u32 {
+    n_workers.max(n_losses / LOSSES_A_WORKER)
+}
+
+/// What becomes of a running job whose attempt is lost, when `lost` workers (this one included) speak
+/// against it.
 pub fn verdict(lost: u32, max_lost: u32, cancel_requested: bool) -> Trigger {
     if cancel_requested {
         Trigger::Cancel
@@ -129,6 +172,14 @@ mod tests {
         ];
         for loss in all {
             assert_eq!(loss.row().loss, loss);
+        }
+    }
+
+    #[test]
+    fn one_worker_alone_condemns_a_job_in_the_end() {
+        let table = [((1, 1), 1), ((1, 8), 2), ((1, 9), 3), ((3, 3), 3), ((2, 4), 2), ((0, 0), 0)];
+        for ((n_workers, n_losses), wanted) in table {
+            assert_eq!(blame(n_workers, n_losses), wanted, "{n_losses} by {n_workers}");
         }
     }
 

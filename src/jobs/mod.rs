@@ -218,6 +218,7 @@ impl Jobs {
     /// while they may be on their way to one.
     async fn sweep_orphans(&self) -> Result<()> {
         self.0.store.forget_audit(self.0.limits.keep_audit).await?;
+        self.0.store.forget_workers().await?;
         let mut unknown = self.0.store.forget_meshes(self.0.limits.keep_meshes).await?;
         let old = SystemTime::now() - ORPHANS_STAY;
         let meshes = self.0.blobs.meshes().await?.into_iter();

@@ -17,7 +17,7 @@ use super::{
     principal::{Listed, Principal},
     spec::Fault,
     state::State,
-    store::{Artifact, Job, NewJob},
+    store::{Artifact, Attempt, Job, NewJob},
 };
 
 /// What one principal may see and do.
@@ -60,6 +60,11 @@ impl Desk<'_> {
     pub async fn job(&self, id: &str) -> Result<Job> {
         let job = self.jobs.job(id).await?;
         if self.who.sees(&job.owner) { Ok(job) } else { Err(Error::NotFound(job.name())) }
+    }
+
+    /// One job, and its latest attempts, the last one first.
+    pub async fn job_and_attempts(&self, id: &str) -> Result<(Job, Vec<Attempt>)> {
+        Ok((self.job(id).await?, self.jobs.attempts(id).await?))
     }
 
     /// Jobs of `owner` (all that may be seen when empty) in one of `states` (all when empty), newest

@@ -18,7 +18,7 @@ use super::{
 };
 use crate::jobs::{
     Jobs,
-    blobs::is_safe_name,
+    lease::Claimant,
     store::{Artifact, Job},
 };
 
@@ -45,11 +45,15 @@ impl worker::worker_service_server::WorkerService for WorkerApi {
         let request = request.into_inner();
         check_worker(&request)?;
         let wait = Duration::try_from_secs_f64(request.wait_secs).unwrap_or_default().min(MAX_WAIT);
-        let claim = self.jobs.claim(&request.worker, wait);
+        let claim = self.jobs.claim(claimant(&request), wait);
         let claimed = tokio::select! {
-            claimed = claim => claimed.map_err(|e| status_of(&e))?,
+            claimed = claim => claimed,
             () = self.shutdown.cancelled() => return Err(status::shutting_down()),
         };
+        let claimed = claimed.map_err(|error| {
+            self.observer.refused(&error);
+            status_of(&error)
+        })?;
         if let Some(job) = &claimed {
             let (attempt, epoch) = (job.attempt, job.epoch);
             tracing::info!(job = job.id, worker = request.worker, attempt, epoch, "claimed");
@@ -168,9 +172,19 @@ fn artifact_chunk(message: worker::PutArtifactRequest) -> Option<Bytes> {
     }
 }
 
+fn claimant(request: &worker::ClaimRequest) -> Claimant {
+    let host = if request.host.is_empty() { &request.worker } else { &request.host };
+    let (worker, version) = (request.worker.clone(), request.version.clone());
+    Claimant { worker, host: host.clone(), version }
+}
+
 fn check_worker(request: &worker::ClaimRequest) -> Result<(), Status> {
-    if !is_safe_name(&request.worker) || request.worker.len() > 64 {
-        return Err(status::invalid("worker", "use 1 to 64 characters of [A-Za-z0-9._-]"));
+    let text = "use 1 to 64 characters of [A-Za-z0-9._-]";
+    if !convert::is_host(&request.worker) {
+        return Err(status::invalid("worker", text));
+    }
+    if !request.host.is_empty() && !convert::is_host(&request.host) {
+        return Err(status::invalid("host", text));
     }
     let server = env!("CARGO_PKG_VERSION");
     if compatible(&request.version, server) {

@@ -24,10 +24,13 @@ use super::{
 use crate::service::{
     client::{Access, Backoff, BadTarget, is_transient},
     proto::worker::v1::Assignment,
+    status::{OUT_OF_SERVICE, reason_of},
 };
 
 /// Jobs after which a worker makes room for a fresh one.
 const MAX_JOBS: u32 = 500;
+/// A worker whose host is out of service asks again this often.
+const OUT_OF_SERVICE_PAUSE: Duration = Duration::from_secs(2);
 
 /// How a worker is set up.
 #[derive(Clone, Debug)]
@@ -38,6 +41,8 @@ pub struct WorkerConfig {
     pub access: Access,
     /// Names this incarnation.
     pub id: String,
+    /// Names the machine, or its device, that it runs on; empty where it stands for itself.
+    pub host: String,
     /// Which evaluator.
     pub device: DeviceChoice,
     /// What runs the jobs.
@@ -124,13 +129,22 @@ async fn claim(
 ) -> Result<Option<Assignment>, WorkerError> {
     let mut backoff = Backoff::default();
     let mut silent_since: Option<Instant> = None;
+    let mut is_told = false;
     while !orphaned() {
-        match link.claim(&config.id).await {
+        match link.claim(&config.id, &config.host).await {
             Ok(None) => {
                 silent_since = None;
                 backoff.reset();
             }
             Ok(assignment) => return Ok(assignment),
+            Err(status) if reason_of(&status).as_deref() == Some(OUT_OF_SERVICE) => {
+                silent_since = None;
+                if !is_told {
+                    tracing::error!(reason = status.message(), "no jobs for this worker");
+                    is_told = true;
+                }
+                tokio::time::sleep(OUT_OF_SERVICE_PAUSE).await;
+            }
             Err(status) if is_transient(&status) => {
                 let since = *silent_since.get_or_insert_with(Instant::now);
                 if since.elapsed() > config.give_up {

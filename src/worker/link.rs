@@ -72,11 +72,16 @@ impl Link {
     }
 
     /// Asks once for a job, waiting a while for one to come.
-    pub async fn claim(&self, worker: &str) -> Result<Option<wire::Assignment>, Status> {
+    pub async fn claim(
+        &self,
+        worker: &str,
+        host: &str,
+    ) -> Result<Option<wire::Assignment>, Status> {
         let request = wire::ClaimRequest {
             worker: worker.into(),
             version: env!("CARGO_PKG_VERSION").into(),
             wait_secs: CLAIM_WAIT_SECS,
+            host: host.into(),
         };
         let late = |_| Status::deadline_exceeded("the claim was not answered");
         let answer = timeout(CALL, self.client.clone().claim(request)).await.map_err(late)??;

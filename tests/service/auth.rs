@@ -135,6 +135,7 @@ fn claim(worker: &str) -> wire::ClaimRequest {
         worker: worker.into(),
         version: env!("CARGO_PKG_VERSION").into(),
         wait_secs: 0.0,
+        host: String::new(),
     }
 }
 
@@ -167,6 +168,11 @@ async fn call(client: &mut Client, method: &str, mesh: &str, job: &str, done: &s
         "WatchJob" => client.watch_job(v1::WatchJobRequest { name, after_seq: 0 }).await.map(drop),
         "CancelJob" => client.cancel_job(v1::CancelJobRequest { name }).await.map(drop),
         "PinJob" => client.pin_job(v1::PinJobRequest { name, pinned: true }).await.map(drop),
+        "ListWorkers" => client.list_workers(v1::ListWorkersRequest::default()).await.map(drop),
+        "ReinstateWorker" => {
+            let request = v1::ReinstateWorkerRequest { name: "workers/done".into() };
+            client.reinstate_worker(request).await.map(drop)
+        }
         "DeleteJob" => {
             let request = v1::DeleteJobRequest { name, allow_missing: false };
             client.delete_job(request).await.map(drop)
@@ -224,7 +230,7 @@ const I: Code = Code::InvalidArgument;
 const F: Code = Code::FailedPrecondition;
 
 #[rustfmt::skip]
-pub(crate) const PUBLIC: [(&str, [Code; 8]); 10] = [
+pub(crate) const PUBLIC: [(&str, [Code; 8]); 12] = [
     // method          anonymous wrong expired bob viewer ann worker admin
     ("UploadMesh",    [U, U, U, O, P, O, P, O]),
     ("CreateJob",     [U, U, U, I, P, O, P, I]),
@@ -236,6 +242,8 @@ pub(crate) const PUBLIC: [(&str, [Code; 8]); 10] = [
     ("DeleteJob",     [U, U, U, N, P, O, P, O]),
     ("ListArtifacts", [U, U, U, N, O, O, P, O]),
     ("ReadArtifact",  [U, U, U, N, O, O, P, O]),
+    ("ListWorkers",   [U, U, U, P, P, P, P, O]),
+    ("ReinstateWorker", [U, U, U, P, P, P, P, O]),
 ];
 
 #[rustfmt::skip]

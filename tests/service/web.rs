@@ -115,6 +115,8 @@ async fn route(web: &Web, method: &str, mesh: &str, job: &str, done: &str) -> Re
         "PinJob" => web.post(&at(&format!("{job}:pin")), json!({"pinned": true})).await,
         "DeleteJob" => web.send("DELETE", &at(job), &[], "").await,
         "ListArtifacts" => web.get(&at(&format!("{job}/artifacts"))).await,
+        "ListWorkers" => web.get(&at("workers")).await,
+        "ReinstateWorker" => web.post(&at("workers/done:reinstate"), json!({})).await,
         "ReadArtifact" => web.get(&at(&format!("{done}/artifacts/x"))).await,
         other => panic!("{other} is not called"),
     }
@@ -467,6 +469,7 @@ async fn store_artifact(
         worker: "w".into(),
         version: env!("CARGO_PKG_VERSION").into(),
         wait_secs: 0.0,
+        host: String::new(),
     };
     let claimed = worker.claim(claim).await.unwrap().into_inner();
     let lease = claimed.assignment.unwrap().lease;

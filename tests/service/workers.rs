@@ -10,7 +10,7 @@ use crate::support::{Server, create, job};
 
 fn claim_as(worker: &str) -> wire::ClaimRequest {
     let version = env!("CARGO_PKG_VERSION").into();
-    wire::ClaimRequest { worker: worker.into(), version, wait_secs: 5.0 }
+    wire::ClaimRequest { worker: worker.into(), version, wait_secs: 5.0, host: String::new() }
 }
 
 async fn claim(server: &Server, worker: &str) -> wire::Assignment {
@@ -103,8 +103,8 @@ async fn strangers_are_turned_away() {
     let server = Server::start_with(&["--workers=0"]);
     let mut worker = server.worker_client();
     for (name, version) in [("", "0.1.0"), ("a/b", "0.1.0"), ("w", "99.0.0"), ("w", "")] {
-        let request =
-            wire::ClaimRequest { worker: name.into(), version: version.into(), wait_secs: 0.0 };
+        let (worker_name, version) = (name.into(), version.into());
+        let request = wire::ClaimRequest { worker: worker_name, version, ..claim_as("") };
         assert_eq!(worker.claim(request).await.unwrap_err().code(), Code::InvalidArgument);
     }
     let no_lease = worker.heartbeat(wire::HeartbeatRequest { lease: None }).await;

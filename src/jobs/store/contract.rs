@@ -13,7 +13,7 @@ use crate::jobs::{
     audit::AuditEntry,
     error::Quota,
     event::Report,
-    lease::{Lease, Terms},
+    lease::{Claimant, Lease, Loss, Terms},
     principal::LOCAL,
     spec::{Input, Spec},
     tests::{database, in_homes},
@@ -62,6 +62,9 @@ in_homes! { [on_sqlite on_postgres] [
     texts_are_kept_and_ordered_by_their_bytes,
     the_clock_is_the_database_s,
     expired_leases_are_lost_once,
+    a_host_that_loses_many_jobs_in_a_row_is_out_of_service,
+    jobs_that_many_hosts_lose_are_bad_and_the_hosts_are_not,
+    a_job_that_its_host_has_lost_goes_to_another,
     results_go_when_their_time_is_up_unless_pinned,
     webhooks_are_due_with_the_end_and_taken_once,
     webhooks_go_with_their_job_and_nobody_is_called_unasked,
@@ -321,7 +324,7 @@ async fn expired_leases_are_lost_once(home: Home) {
     create(&stores[0], "a", 10).await;
     let short = Terms { lease: Duration::from_millis(1), ..Terms::default() };
     for w in 0..10 {
-        stores[0].claim(&format!("w{w}"), &short).await.unwrap().unwrap();
+        stores[0].claim(&*format!("w{w}"), &short).await.unwrap().unwrap();
     }
     tokio::time::sleep(Duration::from_millis(20)).await;
     let (a, b) = tokio::join!(stores[0].lose_expired(3), stores[1].lose_expired(3));
@@ -329,6 +332,114 @@ async fn expired_leases_are_lost_once(home: Home) {
     for job in stores[1].list(None, &[], None, 99).await.unwrap() {
         assert_eq!((job.state, job.lost, job.last_seq), (State::Queued, 1, 4));
     }
+}
+
+/// A new incarnation on `host` claims a job; how that ends.
+async fn claim_on(store: &Store, host: &str, terms: &Terms) -> Result<Option<(Job, Lease)>> {
+    let worker = format!("{host}-{}", uuid::Uuid::new_v4().simple());
+    let who = Claimant { worker: worker.clone(), host: host.into(), version: "1.2.3".into() };
+    let job = store.claim(&who, terms).await?;
+    Ok(job.map(|job| {
+        let lease = Lease { job: job.id.clone(), epoch: job.epoch, worker };
+        (job, lease)
+    }))
+}
+
+/// A job that dies with its worker on `host`.
+async fn dies_on(store: &Store, host: &str) -> Job {
+    let (_, lease) = claim_on(store, host, &Terms::default()).await.unwrap().unwrap();
+    let lost = store.lose_worker(&lease.worker, Loss::WorkerExited, 3).await.unwrap();
+    lost.into_iter().next().unwrap()
+}
+
+/// What a refused claim says: why, and whether it is news.
+fn refusal(claimed: Result<Option<(Job, Lease)>>) -> (String, bool) {
+    match claimed {
+        Err(Error::OutOfService { why, is_news, .. }) => (why, is_news),
+        other => panic!("{other:?} is no refusal"),
+    }
+}
+
+async fn a_host_that_loses_many_jobs_in_a_row_is_out_of_service(home: Home) {
+    let stores: [Store; 2] = home.servers().await;
+    create(&stores[0], "a", 9).await;
+    let terms = Terms::default();
+    // Another job each time, and one done in between makes up for those before.
+    for id in ["a0", "a1"] {
+        assert_eq!(dies_on(&stores[0], "bad").await.id, id);
+    }
+    let (done, lease) = claim_on(&stores[1], "bad", &terms).await.unwrap().unwrap();
+    stores[1].complete(&lease, &Outcome::Succeeded(vec![]), 3).await.unwrap();
+    tokio::time::sleep(Duration::from_millis(5)).await;
+    assert_eq!(done.id, "a2");
+    for id in ["a3", "a4", "a5"] {
+        assert_eq!(dies_on(&stores[1], "bad").await.id, id);
+    }
+    for is_first in [true, false] {
+        let (why, is_news) = refusal(claim_on(&stores[0], "bad", &terms).await);
+        assert!(is_news == is_first && why.contains("jobs/a3: WORKER_EXITED; jobs/a4"), "{why}");
+    }
+    let [worker] = &stores[1].workers().await.unwrap()[..] else { panic!("one host") };
+    assert!(worker.quarantined_until_ms.is_some() && worker.why.contains("3 jobs in a row"));
+    assert_eq!((&*worker.host, &*worker.version), ("bad", "1.2.3"));
+    // Nobody has blamed the jobs so far that they would not run elsewhere.
+    assert_eq!(claim_on(&stores[1], "good", &terms).await.unwrap().unwrap().0.id, "a0");
+    assert!(stores[0].reinstate("bad").await.unwrap().quarantined_until_ms.is_none());
+    let id = dies_on(&stores[0], "bad").await.id;
+    assert_eq!(id, "a6", "it has lost those before");
+    assert!(matches!(stores[0].reinstate("none").await, Err(Error::NotFound(_))));
+    // A quarantine ends by itself.
+    let short = Terms { quarantine: Duration::from_millis(1), max_in_a_row: 1, ..terms };
+    assert!(refusal(claim_on(&stores[0], "bad", &short).await).1);
+    tokio::time::sleep(Duration::from_millis(20)).await;
+    assert!(claim_on(&stores[0], "bad", &short).await.unwrap().is_some());
+}
+
+async fn jobs_that_many_hosts_lose_are_bad_and_the_hosts_are_not(home: Home) {
+    let stores: [Store; 2] = home.servers().await;
+    create(&stores[0], "bad", 4).await;
+    for (i, host) in ["x", "y", "z"].iter().cycle().take(12).enumerate() {
+        let job = dies_on(&stores[i % 2], host).await;
+        let wanted = if i % 3 == 2 { State::Failed } else { State::Queued };
+        assert_eq!((&*job.id, job.state), (&*format!("bad{}", i / 3), wanted));
+    }
+    let job = stores[1].job("bad3").await.unwrap();
+    assert_eq!((job.failure.0.as_str(), job.lost), ("POISONED", 3));
+    let attempts = stores[0].attempts("bad3", 9).await.unwrap();
+    let hosts: Vec<_> = attempts.iter().map(|a| (a.attempt, &*a.host, &*a.reason)).collect();
+    let exited = "WORKER_EXITED";
+    assert_eq!(hosts, [(3, "z", exited), (2, "y", exited), (1, "x", exited)]);
+    assert!(attempts.iter().all(|a| a.counts && a.ended_ms >= Some(a.started_ms)));
+    // All hosts are in service.
+    create(&stores[0], "good", 3).await;
+    for host in ["x", "y", "z"] {
+        claim_on(&stores[0], host, &Terms::default()).await.unwrap().unwrap();
+    }
+}
+
+async fn a_job_that_its_host_has_lost_goes_to_another(home: Home) {
+    let [store]: [Store; 1] = home.servers().await;
+    create(&store, "a", 2).await;
+    let terms = Terms::default();
+    assert_eq!(dies_on(&store, "x").await.id, "a0");
+    // The next one is younger, but not tried yet.
+    let (job, lease) = claim_on(&store, "x", &terms).await.unwrap().unwrap();
+    assert_eq!(job.id, "a1");
+    store.complete(&lease, &Outcome::Succeeded(vec![]), 3).await.unwrap();
+    // Alone, it tries again.
+    assert_eq!(dies_on(&store, "x").await.lost, 2);
+    // Not so when somebody else is there, though busy.
+    create(&store, "b", 1).await;
+    let (job, lease) = claim_on(&store, "y", &terms).await.unwrap().unwrap();
+    assert_eq!(job.id, "a0");
+    store.complete(&lease, &Outcome::Released("drained".into()), 3).await.unwrap();
+    let (job, _) = claim_on(&store, "x", &terms).await.unwrap().unwrap();
+    assert_eq!(job.id, "b0");
+    assert_eq!(claim_on(&store, "x", &terms).await.unwrap(), None);
+    // Nobody has heard of the other for the time of a lease.
+    let short = Terms { lease: Duration::from_millis(1), ..terms };
+    tokio::time::sleep(Duration::from_millis(20)).await;
+    assert_eq!(claim_on(&store, "x", &short).await.unwrap().unwrap().0.id, "a0");
 }
 
 fn to_be_told() -> NewJob {

@@ -1,5 +1,5 @@
 //! The job database, SQLite or PostgreSQL (`dialect.rs`), and all of its SQL (here, in `clients.rs`,
-//! `expiry.rs`, `owners.rs`, `webhooks.rs` and `workers.rs`).
+//! `attempts.rs`, `expiry.rs`, `fleet.rs`, `owners.rs`, `webhooks.rs` and `workers.rs`).
 //!
 //! 1. A transaction that reads before it writes locks first what it reads: SQLite by BEGIN IMMEDIATE (a
 //!    deferred one that upgrades is refused with SQLITE_BUSY whatever the busy timeout), PostgreSQL
@@ -13,9 +13,11 @@
 //!
 //! Knows nothing of objects, or of who asks.
 
+mod attempts;
 mod clients;
 mod dialect;
 mod expiry;
+mod fleet;
 mod listen;
 mod owners;
 mod webhooks;
@@ -36,8 +38,10 @@ use super::{
     state::State,
 };
 
+pub use attempts::Attempt;
 pub use clients::{MeshLock, NewJob};
 pub use dialect::Address;
+pub use fleet::{Service, Worker};
 pub use listen::{Ear, Heard};
 pub use webhooks::{CallEnd, DueCall};
 pub use workers::{Appended, Outcome};
@@ -65,7 +69,7 @@ pub struct Job {
     pub epoch: u64,
     /// Who holds or last held the lease; empty when it was taken away.
     pub worker: String,
-    /// Lost attempts that count against the job.
+    /// How much speaks against the job: workers that have lost it (`lease::blame`).
     pub lost: u32,
     /// A client asked to stop it.
     pub cancel_requested: bool,

@@ -6,13 +6,14 @@
 use sqlx::AnyConnection;
 
 use super::{
-    Artifact, Body, Job, SegmentRange, Store, Tx, find, find_to_write, job_of, log, now_ms, sql,
-    state_entry, storable, webhooks,
+    Artifact, Body, Job, SegmentRange, Store, Tx,
+    attempts::{self, Finish},
+    find, find_to_write, fleet, job_of, log, now_ms, sql, state_entry, storable, webhooks,
 };
 use crate::jobs::{
     error::{Error, Result},
     event::{CREATED_SEQ, Report, ServerEvent},
-    lease::{Lease, Loss, Terms, verdict},
+    lease::{Claimant, Lease, Loss, Terms, verdict},
     state::Trigger,
 };
 
@@ -41,15 +42,19 @@ pub struct Appended {
 }
 
 impl Store {
-    /// Gives the oldest queued job to `worker`.
-    pub async fn claim(&self, worker: &str, terms: &Terms) -> Result<Option<Job>> {
+    /// Gives the oldest queued job to a worker, those last that its host has lost; refused when the host is out
+    /// of service.
+    pub async fn claim(&self, who: impl Into<Claimant>, terms: &Terms) -> Result<Option<Job>> {
+        let who = who.into();
         let mut tx = self.begin().await?;
-        lose_all_of(&mut tx, worker, Loss::Abandoned, terms.max_lost).await?;
-        let query = "SELECT * FROM jobs WHERE state = 'QUEUED' ORDER BY n LIMIT 1 \
-                     /*pg FOR UPDATE SKIP LOCKED */";
-        let row = sqlx::query(sql(&tx, query)).fetch_optional(&mut *tx).await?;
-        let job = match row {
-            Some(row) => Some(start(&mut tx, job_of(&row)?, worker, terms).await?),
+        lose_all_of(&mut tx, &who.worker, Loss::Abandoned, terms.max_lost).await?;
+        let now = now_ms(&mut tx).await?;
+        if let Some(refusal) = fleet::check_in(&mut tx, &who, terms, now).await? {
+            tx.commit().await?;
+            return Err(refusal);
+        }
+        let job = match next(&mut tx, &who, terms, now).await? {
+            Some(job) => Some(start(&mut tx, job, &who, terms).await?),
             None => None,
         };
         tx.commit().await?;
@@ -60,9 +65,11 @@ impl Store {
     pub async fn heartbeat(&self, lease: &Lease, terms: &Terms) -> Result<bool> {
         let mut tx = self.begin().await?;
         let job = held_to_write(&mut tx, lease).await?;
-        let until = now_ms(&mut tx).await? + terms.lease.as_millis() as i64;
+        let now = now_ms(&mut tx).await?;
+        let until = now + terms.lease.as_millis() as i64;
         let update = sqlx::query("UPDATE jobs SET lease_until_ms = $1 WHERE id = $2");
         update.bind(until).bind(&lease.job).execute(&mut *tx).await?;
+        fleet::seen(&mut tx, &job, terms, now).await?;
         tx.commit().await?;
         Ok(job.cancel_requested)
     }
@@ -227,20 +234,40 @@ async fn repeated(
     query.fetch_optional(conn).await?.as_ref().map(job_of).transpose()
 }
 
-async fn start(tx: &mut Tx, mut job: Job, worker: &str, terms: &Terms) -> Result<Job> {
+/// The oldest job that this worker should have, locked; one that its host has lost only where nobody else
+/// could have it.
+async fn next(tx: &mut Tx, who: &Claimant, terms: &Terms, now: i64) -> Result<Option<Job>> {
+    for suits in [fleet::UNSHUNNED, fleet::NOBODY_ELSE_S] {
+        let query = format!(
+            "SELECT * FROM jobs WHERE state = 'QUEUED' AND {suits} AND $3 > $4 ORDER BY n LIMIT 1 \
+             /*pg FOR UPDATE SKIP LOCKED */"
+        );
+        let query = sqlx::query(sql(tx, &query)).bind(&who.host).bind(fleet::shunned_since(now));
+        let query = query.bind(now).bind(fleet::alive_since(now, terms));
+        if let Some(row) = query.fetch_optional(&mut **tx).await? {
+            return Ok(Some(job_of(&row)?));
+        }
+    }
+    Ok(None)
+}
+
+async fn start(tx: &mut Tx, mut job: Job, who: &Claimant, terms: &Terms) -> Result<Job> {
     let now = now_ms(tx).await?;
     job.state = after(&job, Trigger::Claim)?;
     job.epoch += 1;
     job.attempt += 1;
     job.appended = 0;
-    job.worker = worker.into();
+    job.worker.clone_from(&who.worker);
     job.started_ms = Some(now);
     let update = "UPDATE jobs SET state = $1, epoch = $2, attempt = $3, worker = $4, appended = 0, \
                   lease_until_ms = $5, started_ms = $6, stage = '', fraction = 0 WHERE id = $7";
     let update = sqlx::query(update).bind(job.state.name()).bind(job.epoch as i64);
-    let update =
-        update.bind(i64::from(job.attempt)).bind(worker).bind(now + terms.lease.as_millis() as i64);
+    let update = update
+        .bind(i64::from(job.attempt))
+        .bind(&job.worker)
+        .bind(now + terms.lease.as_millis() as i64);
     update.bind(now).bind(&job.id).execute(&mut **tx).await?;
+    attempts::begin(tx, &job, &who.host, now).await?;
     let text = format!("attempt {} begins", job.attempt);
     let entry = state_entry(&job, "CLAIMED", text);
     log(tx, &mut job, now, &[entry]).await?;
@@ -279,7 +306,9 @@ async fn end(
     }
     if trigger == Trigger::Succeed {
         job.fraction = 1.0;
+        fleet::is_sound(tx, &job, now).await?;
     }
+    attempts::finish(tx, &job, Finish { reason, detail: &text, counts: false, now }).await?;
     let update = "UPDATE jobs SET state = $1, ended_ms = $2, failure_reason = $3, failure_text = $4, \
                   fraction = $5 WHERE id = $6";
     let update = sqlx::query(update).bind(job.state.name()).bind(now).bind(&job.failure.0);
@@ -304,11 +333,13 @@ async fn lose_all_of(tx: &mut Tx, worker: &str, loss: Loss, max_lost: u32) -> Re
 
 /// Takes a lease away: the job starts over, or ends when it lost too many attempts or is unwanted.
 async fn lose(tx: &mut Tx, mut job: Job, loss: Loss, detail: &str, max_lost: u32) -> Result<Job> {
-    job.lost += u32::from(loss.counts());
-    let update = sqlx::query("UPDATE jobs SET lost = $1 WHERE id = $2");
-    update.bind(i64::from(job.lost)).bind(&job.id).execute(&mut **tx).await?;
     let why = [loss.text(), detail].into_iter().filter(|s| !s.is_empty()).collect::<Vec<_>>();
     let why = why.join(": ");
+    let (reason, counts, now) = (loss.reason(), loss.counts(), now_ms(tx).await?);
+    attempts::finish(tx, &job, Finish { reason, detail: &why, counts, now }).await?;
+    job.lost = attempts::blame(tx, &job.id).await?;
+    let update = sqlx::query("UPDATE jobs SET lost = $1 WHERE id = $2");
+    update.bind(i64::from(job.lost)).bind(&job.id).execute(&mut **tx).await?;
     match verdict(job.lost, max_lost, job.cancel_requested) {
         Trigger::Requeue => requeue(tx, job, loss, &why).await,
         Trigger::Cancel => {
@@ -317,7 +348,7 @@ async fn lose(tx: &mut Tx, mut job: Job, loss: Loss, detail: &str, max_lost: u32
         }
         trigger => {
             let text = format!(
-                "{} attempts were lost, the last because {why}; see the log, then submit it again \
+                "{} workers lost it, the last because {why}; see the log, then submit it again \
                  with other settings or a repaired mesh",
                 job.lost
             );

@@ -214,7 +214,7 @@ async fn lost_attempts_are_told_and_poison_in_the_end(home: Home) {
     let jobs = Jobs::open(home.places(), terms, Limits::default()).await.unwrap();
     let job = create(&jobs).await;
     for attempt in 1..=3 {
-        let (claimed, lease) = claim(&jobs, "w").await.unwrap();
+        let (claimed, lease) = claim(&jobs, &format!("w{attempt}")).await.unwrap();
         assert_eq!((claimed.attempt, claimed.epoch), (attempt, u64::from(attempt)));
         jobs.append(&lease, 0, vec![note("work")]).await.unwrap();
         tokio::time::sleep(Duration::from_millis(5)).await;
@@ -233,6 +233,10 @@ async fn lost_attempts_are_told_and_poison_in_the_end(home: Home) {
         })
         .collect();
     assert_eq!(restarts, [(1, "LEASE_EXPIRED"); 2]);
+    let history = jobs.attempts(&job.id).await.unwrap().into_iter();
+    let history: Vec<_> = history.map(|a| (a.attempt, a.worker, a.reason, a.counts)).collect();
+    let lost = |n: u32| (n, format!("w{n}"), "LEASE_EXPIRED".to_owned(), true);
+    assert_eq!(history, [lost(3), lost(2), lost(1)]);
 }
 
 async fn handing_back_and_server_restarts_do_not_poison(home: Home) {

@@ -55,6 +55,8 @@ const ROUTES: &[Route] = &[
     row(Method::GET,    ("jobs/*",             "/artifacts"), "parent", "ListArtifacts", Answer::Message),
     row(Method::GET,    ("jobs/*/artifacts/*", ""),           "name",   "ReadArtifact",  Answer::File),
     row(Method::POST,   ("",                   "meshes"),     "",       "UploadMesh",    Answer::Upload),
+    row(Method::GET,    ("",                   "workers"),    "",       "ListWorkers",   Answer::Message),
+    row(Method::POST,   ("workers/*",          ":reinstate"), "name",   "ReinstateWorker", Answer::Message),
 ];
 
 /// A route, and what its path names.
@@ -124,6 +126,8 @@ mod tests {
                 Ok(("ReadArtifact", "jobs/0a/artifacts/a-0.glb")),
             ),
             ("POST", "/api/v1/meshes", Ok(("UploadMesh", ""))),
+            ("GET", "/api/v1/workers", Ok(("ListWorkers", ""))),
+            ("POST", "/api/v1/workers/a-0:reinstate", Ok(("ReinstateWorker", "workers/a-0"))),
             ("GET", "/api/v1/", Err(404)),
             ("GET", "/api/v1/jobs/", Err(404)),
             ("GET", "/api/v1/jobs/0a/", Err(404)),
