@@ -64,6 +64,9 @@ pub(crate) struct ServeArgs {
     /// How long that is, in seconds.
     #[arg(long, env = "LOOKALIKE_QUARANTINE_SECS", default_value_t = 600.0, value_name = "SECS")]
     pub(crate) quarantine_secs: f64,
+    /// Seconds after which a job that waits gets the worker of one of lower priority.
+    #[arg(long, env = "LOOKALIKE_PREEMPT_AFTER_SECS", default_value_t = 5.0, value_name = "SECS")]
+    pub(crate) preempt_after_secs: f64,
     /// Jobs that may wait at once.
     #[arg(long, env = "LOOKALIKE_MAX_QUEUED", default_value_t = 100_000, value_name = "N")]
     pub(crate) max_queued: u64,
@@ -168,6 +171,7 @@ impl ServeArgs {
             faults.push(format!("--heartbeat-secs is more than half of --lease-secs: {text}"));
         }
         let quarantine = seconds(&mut faults, "--quarantine-secs", self.quarantine_secs);
+        let preempt_after = seconds(&mut faults, "--preempt-after-secs", self.preempt_after_secs);
         for (flag, n) in
             [("--max-attempts", self.max_attempts), ("--max-in-a-row", self.max_in_a_row)]
         {
@@ -192,6 +196,7 @@ impl ServeArgs {
                 max_lost: self.max_attempts,
                 max_in_a_row: self.max_in_a_row,
                 quarantine,
+                preempt_after,
             },
             limits: Limits {
                 max_mesh_bytes: self.max_mesh_mib.saturating_mul(1 << 20),

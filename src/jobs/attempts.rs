@@ -14,7 +14,7 @@ use super::{
     clients::Announced,
     error::{Error, Result},
     event::Report,
-    lease::{Claimant, Lease},
+    lease::{Claimant, Lease, Orders},
     segment,
     state::State,
     store::{Appended, Artifact, Attempt, Job, Outcome, Worker},
@@ -45,8 +45,8 @@ impl Jobs {
         }
     }
 
-    /// Extends a lease; true when the worker should stop.
-    pub async fn heartbeat(&self, lease: &Lease) -> Result<bool> {
+    /// Extends a lease; what the worker should do.
+    pub async fn heartbeat(&self, lease: &Lease) -> Result<Orders> {
         self.0.store.heartbeat(lease, &self.0.terms).await
     }
 
@@ -76,8 +76,7 @@ impl Jobs {
         // Refuse a stale worker before it fills the disk; the transaction checks again.
         let job = self.0.store.check(lease).await?;
         if first + reports.len() as u64 <= job.appended {
-            let cancel_requested = job.cancel_requested;
-            return Ok(Appended { held: job.appended, cancel_requested });
+            return Ok(Appended { held: job.appended, orders: job.orders() });
         }
         let pack = tokio::task::spawn_blocking(move || segment::pack(first, reports));
         let (segments, entries) = pack.await??;

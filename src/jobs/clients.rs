@@ -46,6 +46,9 @@ impl Announced {
     }
 }
 
+/// Priorities of jobs; 0 where nothing is said.
+pub const PRIORITIES: std::ops::RangeInclusive<i32> = -10..=10;
+
 impl Jobs {
     /// A mesh that is stored already, and that `owner` has uploaded.
     pub async fn find_mesh(&self, owner: &str, hash: &str) -> Result<Option<StoredMesh>> {
@@ -112,6 +115,10 @@ impl Jobs {
         let id = &new.request_id;
         if id.len() > 128 || !id.bytes().all(|c| c.is_ascii_graphic() || c == b' ') {
             fault("request_id", "use at most 128 printable ASCII characters".into());
+        }
+        if !PRIORITIES.contains(&new.priority) {
+            let (low, high) = (PRIORITIES.start(), PRIORITIES.end());
+            fault("priority", format!("{}: use {low} to {high}", new.priority));
         }
         for (prefix, mesh, file_name) in inputs(new) {
             if !is_hash(mesh) {
@@ -249,6 +256,7 @@ mod tests {
             mesh: used.clone(),
             file_name,
             spec,
+            priority: 0,
             webhook: String::new(),
         };
         jobs.create(new, vec![]).await.unwrap();

@@ -36,6 +36,8 @@ pub struct Terms {
     pub max_in_a_row: u32,
     /// How long that is.
     pub quarantine: Duration,
+    /// A job that has waited so long gets the worker of one of lower priority.
+    pub preempt_after: Duration,
 }
 
 impl Default for Terms {
@@ -46,8 +48,20 @@ impl Default for Terms {
             max_lost: 3,
             max_in_a_row: 3,
             quarantine: Duration::from_mins(10),
+            preempt_after: Duration::from_secs(5),
         }
     }
+}
+
+/// What a server wants of the worker of a running job.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Orders {
+    /// Stop: a client wants the job no more.
+    pub cancel: bool,
+    /// Hand the job back: this host is to work no more.
+    pub drain: bool,
+    /// Hand the job back: one of higher priority waits.
+    pub preempt: bool,
 }
 
 /// Who asks for a job.
@@ -87,6 +101,8 @@ pub enum Loss {
     Abandoned,
     /// The worker handed the job back, because it shuts down.
     Released,
+    /// The worker handed the job back, because one of higher priority waits.
+    Preempted,
     /// The server came back and the worker was gone.
     ServerRestarted,
 }
@@ -99,7 +115,7 @@ struct LossRow {
 }
 
 #[rustfmt::skip]
-const LOSSES: [LossRow; 6] = [
+const LOSSES: [LossRow; 7] = [
     LossRow { loss: Loss::LeaseExpired, reason: "LEASE_EXPIRED", counts: true,
         text: "the worker was not heard of in time" },
     LossRow { loss: Loss::WorkerExited, reason: "WORKER_EXITED", counts: true,
@@ -110,6 +126,8 @@ const LOSSES: [LossRow; 6] = [
         text: "the worker asked for other work" },
     LossRow { loss: Loss::Released, reason: "RELEASED", counts: false,
         text: "the worker handed the job back" },
+    LossRow { loss: Loss::Preempted, reason: "PREEMPTED", counts: false,
+        text: "a job of higher priority waits" },
     LossRow { loss: Loss::ServerRestarted, reason: "SERVER_RESTARTED", counts: false,
         text: "the server restarted and the worker was gone" },
 ];
@@ -168,6 +186,7 @@ mod tests {
             Loss::AttemptFailed,
             Loss::Abandoned,
             Loss::Released,
+            Loss::Preempted,
             Loss::ServerRestarted,
         ];
         for loss in all {

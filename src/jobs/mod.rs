@@ -179,6 +179,11 @@ impl Jobs {
         Ok(lost)
     }
 
+    /// Asks workers to hand back jobs, where others of higher priority wait. To be called now and then; the jobs.
+    pub async fn preempt(&self) -> Result<Vec<Job>> {
+        self.0.store.preempt(&self.0.terms).await
+    }
+
     /// Takes away what a worker holds whose process is known to have ended; the jobs concerned.
     pub async fn worker_gone(&self, worker: &str) -> Result<Vec<Job>> {
         let _ = fs::remove_file(self.worker_lock(worker));

@@ -14,7 +14,7 @@ use super::{
     blobs::Blob,
     clients::{Announced, StoredMesh},
     error::{Error, Quota, Result},
-    principal::{Listed, Principal},
+    principal::{Act, Listed, Principal},
     spec::Fault,
     state::State,
     store::{Artifact, Attempt, Job, NewJob},
@@ -51,8 +51,12 @@ impl Desk<'_> {
     }
 
     /// Creates a job; `faults` are those that the caller found already.
-    pub async fn create(&self, new: NewJob, faults: Vec<Fault>) -> Result<Job> {
+    pub async fn create(&self, new: NewJob, mut faults: Vec<Fault>) -> Result<Job> {
         self.check_bytes().await?;
+        if new.priority > 0 && !self.who.role.may(Act::Manage) {
+            let text = "only administrators may put a job before those of others: use 0 or less";
+            faults.push(Fault { field: "priority".into(), text: text.into() });
+        }
         self.jobs.create(NewJob { owner: self.who.owner.clone(), ..new }, faults).await
     }
 
@@ -171,6 +175,7 @@ mod tests {
             mesh: mesh.into(),
             file_name,
             spec,
+            priority: 0,
             webhook: String::new(),
         }
     }

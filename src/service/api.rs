@@ -84,6 +84,7 @@ impl v1::lookalike_service_server::LookalikeService for Api {
             mesh: convert::mesh_hash(&request.mesh),
             file_name: request.file_name,
             spec,
+            priority: request.priority,
             webhook: self.webhooks.url_for(request.webhook_url),
         };
         let spec = new.spec.clone();

@@ -42,6 +42,7 @@ impl Observer {
         describe_counter!("lookalike_lost_attempts_total", "Attempts lost");
         describe_counter!("lookalike_quarantines_total", "Times a host was taken out of service");
         describe_gauge!("lookalike_workers", "Hosts of workers, by whether they get jobs");
+        describe_counter!("lookalike_preemptions_total", "Jobs that had to make room for others");
         describe_counter!("lookalike_ended_jobs_total", "Jobs ended, by state");
         describe_counter!("lookalike_evaluations_total", "Energy evaluations, by stage");
         describe_gauge!("lookalike_stage_seconds", "Seconds spent, by stage");
@@ -61,6 +62,14 @@ impl Observer {
         if let Error::OutOfService { host, is_news: true, .. } = error {
             tracing::warn!(host, %error, "a worker is taken out of service");
             counter!("lookalike_quarantines_total").increment(1);
+        }
+    }
+
+    /// Workers were asked to hand these jobs back.
+    pub fn preempted(&self, jobs: &[Job]) {
+        for job in jobs {
+            tracing::info!(job = job.id, priority = job.priority, "to make room for another job");
+            counter!("lookalike_preemptions_total").increment(1);
         }
     }
 

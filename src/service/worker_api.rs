@@ -68,8 +68,12 @@ impl worker::worker_service_server::WorkerService for WorkerApi {
         request: Request<worker::HeartbeatRequest>,
     ) -> Result<Response<worker::HeartbeatResponse>, Status> {
         let lease = convert::lease_from_wire(request.into_inner().lease)?;
-        let cancel_requested = self.jobs.heartbeat(&lease).await.map_err(|e| status_of(&e))?;
-        Ok(Response::new(worker::HeartbeatResponse { cancel_requested }))
+        let orders = self.jobs.heartbeat(&lease).await.map_err(|e| status_of(&e))?;
+        Ok(Response::new(worker::HeartbeatResponse {
+            cancel_requested: orders.cancel,
+            drain_requested: orders.drain,
+            preempt_requested: orders.preempt,
+        }))
     }
 
     type FetchMeshStream =
@@ -103,7 +107,8 @@ impl worker::worker_service_server::WorkerService for WorkerApi {
         let appended = appended.map_err(|e| status_of(&e))?;
         Ok(Response::new(worker::AppendEventsResponse {
             appended: appended.held,
-            cancel_requested: appended.cancel_requested,
+            cancel_requested: appended.orders.cancel,
+            preempt_requested: appended.orders.preempt,
         }))
     }
 

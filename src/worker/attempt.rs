@@ -22,7 +22,12 @@ use super::{
     pipeline::{DeviceChoice, Inputs, ModelFile, Pipeline, PipelineError},
 };
 use crate::{
-    jobs::{event::Report, lease::Lease, spec::Spec, store::Outcome},
+    jobs::{
+        event::Report,
+        lease::{Lease, Orders},
+        spec::Spec,
+        store::Outcome,
+    },
     service::{convert, proto::worker::v1::Assignment},
 };
 
@@ -31,13 +36,27 @@ use crate::{
 pub enum Stop {
     /// A client cancelled the job.
     Cancel,
-    /// The worker shuts down.
+    /// The worker shuts down, or its host is to work no more.
     Drain,
+    /// A job of higher priority waits.
+    Preempt,
     /// The job is no longer ours, or the server is gone.
     Abandon,
 }
 
 impl Stop {
+    /// Does what the server wants.
+    pub fn obey(orders: Orders, stop: &watch::Sender<Option<Self>>) {
+        let wanted = [
+            (orders.cancel, Self::Cancel),
+            (orders.drain, Self::Drain),
+            (orders.preempt, Self::Preempt),
+        ];
+        for (_, reason) in wanted.into_iter().filter(|(is_wanted, _)| *is_wanted) {
+            reason.raise(stop);
+        }
+    }
+
     /// Asks for a stop; the first reason holds, but `Abandon` overrides all.
     pub fn raise(self, stop: &watch::Sender<Option<Self>>) {
         stop.send_if_modified(|reason| {
@@ -159,8 +178,7 @@ async fn keep_alive(
     loop {
         tokio::select! {
             _ = beat.tick() => match link.heartbeat(lease).await {
-                Ok(true) => Stop::Cancel.raise(stop),
-                Ok(false) => {}
+                Ok(orders) => Stop::obey(orders, stop),
                 Err(error) => return error,
             },
             () = drain.cancelled(), if !draining => {
@@ -245,6 +263,9 @@ fn outcome(result: Result<(), Fault>, files: Vec<String>, stop: Option<Stop>) ->
             Outcome::Failed(code.into(), text)
         }
         (Err(Fault::Pipeline(PipelineError::Cancelled)), Some(Stop::Cancel)) => Outcome::Cancelled,
+        (Err(Fault::Pipeline(PipelineError::Cancelled)), Some(Stop::Preempt)) => {
+            Outcome::Released(String::new())
+        }
         (Err(Fault::Pipeline(PipelineError::Cancelled)), Some(_)) => {
             Outcome::Released("the worker shuts down".into())
         }
@@ -276,7 +297,9 @@ mod tests {
         assert_eq!(outcome(Ok(()), files(), Some(Stop::Cancel)), Outcome::Succeeded(files()));
         assert_eq!(outcome(stopped(), files(), Some(Stop::Cancel)), Outcome::Cancelled);
         let released = outcome(stopped(), files(), Some(Stop::Drain));
-        assert!(matches!(released, Outcome::Released(_)));
+        assert!(matches!(released, Outcome::Released(text) if text.contains("shuts down")));
+        let preempted = outcome(stopped(), files(), Some(Stop::Preempt));
+        assert_eq!(preempted, Outcome::Released(String::new()));
         let panicked = outcome(Err(Fault::panic(&"index out of bounds")), files(), None);
         assert!(matches!(panicked, Outcome::AttemptFailed(text) if text.contains("index out of")));
     }

@@ -11,7 +11,7 @@ use tonic::{Response, Status};
 
 use crate::{
     jobs::{
-        lease::Lease,
+        lease::{Lease, Orders},
         store::{Appended, Artifact, Outcome},
     },
     service::{
@@ -88,14 +88,19 @@ impl Link {
         Ok(answer.into_inner().assignment)
     }
 
-    /// Extends the lease; true when the attempt should stop.
-    pub async fn heartbeat(&self, lease: &Lease) -> Result<bool, LinkError> {
+    /// Extends the lease; what the attempt should do.
+    pub async fn heartbeat(&self, lease: &Lease) -> Result<Orders, LinkError> {
         let request = wire::HeartbeatRequest { lease: Some(convert::lease_to_wire(lease)) };
         let call = |mut client: WorkerServiceClient<Connection>| {
             let request = request.clone();
             async move { client.heartbeat(request).await }
         };
-        Ok(self.answered(CALL, call).await?.cancel_requested)
+        let answer = self.answered(CALL, call).await?;
+        Ok(Orders {
+            cancel: answer.cancel_requested,
+            drain: answer.drain_requested,
+            preempt: answer.preempt_requested,
+        })
     }
 
     /// The bytes of an input: of the mesh of that hash, or of the original where it is empty.
@@ -130,7 +135,8 @@ impl Link {
             async move { client.append_events(request).await }
         };
         let answer = self.answered(CALL, call).await?;
-        Ok(Appended { held: answer.appended, cancel_requested: answer.cancel_requested })
+        let (cancel, preempt) = (answer.cancel_requested, answer.preempt_requested);
+        Ok(Appended { held: answer.appended, orders: Orders { cancel, preempt, drain: false } })
     }
 
     /// Sends a file of the result.

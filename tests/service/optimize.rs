@@ -29,6 +29,7 @@ fn request(original: &str, simplified: &str) -> v1::CreateJobRequest {
         file_name: "torus.ply".into(),
         spec: Some(spec_to_wire(&spec)),
         webhook_url: String::new(),
+        priority: 0,
     }
 }
 

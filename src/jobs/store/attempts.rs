@@ -4,7 +4,7 @@
 
 use sqlx::{AnyConnection, Row, any::AnyRow};
 
-use super::{Job, Store, Tx, storable};
+use super::{Job, Store, Tx, queue, storable};
 use crate::jobs::{error::Result, lease};
 
 /// An attempt of a job.
@@ -64,7 +64,11 @@ pub(super) async fn finish(tx: &mut Tx, job: &Job, finish: Finish<'_>) -> Result
                   WHERE job = $5 AND epoch = $6 AND ended_ms IS NULL";
     let update = sqlx::query(update).bind(finish.now).bind(storable(finish.reason));
     let update = update.bind(storable(finish.detail)).bind(i64::from(finish.counts));
-    update.bind(&job.id).bind(job.epoch as i64).execute(&mut **tx).await?;
+    let done = update.bind(&job.id).bind(job.epoch as i64).execute(&mut **tx).await?;
+    if done.rows_affected() == 1 {
+        let took_ms = finish.now - job.started_ms.unwrap_or(finish.now);
+        queue::served(tx, &job.owner, took_ms, finish.now).await?;
+    }
     Ok(())
 }
 

@@ -13,7 +13,7 @@ use crate::jobs::{
     audit::AuditEntry,
     error::Quota,
     event::Report,
-    lease::{Claimant, Lease, Loss, Terms},
+    lease::{Claimant, Lease, Loss, Orders, Terms},
     principal::LOCAL,
     spec::{Input, Spec},
     tests::{database, in_homes},
@@ -65,6 +65,9 @@ in_homes! { [on_sqlite on_postgres] [
     a_host_that_loses_many_jobs_in_a_row_is_out_of_service,
     jobs_that_many_hosts_lose_are_bad_and_the_hosts_are_not,
     a_job_that_its_host_has_lost_goes_to_another,
+    priority_comes_first_then_the_owner_with_least_then_age,
+    who_has_had_much_waits_for_who_has_had_little,
+    jobs_of_higher_priority_get_the_workers_of_lower_ones,
     results_go_when_their_time_is_up_unless_pinned,
     webhooks_are_due_with_the_end_and_taken_once,
     webhooks_go_with_their_job_and_nobody_is_called_unasked,
@@ -88,7 +91,15 @@ async fn add_mesh(store: &Store, name: &str) {
 fn new_job(request_id: &str) -> NewJob {
     let (request_id, file_name) = (request_id.into(), "a.ply".into());
     let (owner, mesh) = (LOCAL.into(), hash("mesh"));
-    NewJob { owner, request_id, mesh, file_name, spec: Spec::new(vec![5]), webhook: String::new() }
+    NewJob {
+        owner,
+        request_id,
+        mesh,
+        file_name,
+        spec: Spec::new(vec![5]),
+        priority: 0,
+        webhook: String::new(),
+    }
 }
 
 /// No more than so many jobs may wait.
@@ -240,7 +251,7 @@ async fn logs_have_no_gaps_whoever_writes(home: Home) {
         tokio::join!(write(&stores[0], 7), write(&stores[1], 11), stores[1].cancel("a0"));
     assert!(cancelled.unwrap().0.cancel_requested);
     let many = stores[1].append(&lease, 100, &notes(9000)).await.unwrap();
-    assert_eq!((many.held, many.cancel_requested), (9100, true));
+    assert_eq!((many.held, many.orders.cancel), (9100, true));
     let log = stores[1].events("a0", 0, 20_000).await.unwrap();
     let seqs: Vec<_> = log.iter().map(|stored| stored.event.seq).collect();
     assert_eq!(seqs, (1..=9102).collect::<Vec<_>>());
@@ -440,6 +451,108 @@ async fn a_job_that_its_host_has_lost_goes_to_another(home: Home) {
     let short = Terms { lease: Duration::from_millis(1), ..terms };
     tokio::time::sleep(Duration::from_millis(20)).await;
     assert_eq!(claim_on(&store, "x", &short).await.unwrap().unwrap().0.id, "a0");
+}
+
+/// Queues a job of an owner.
+async fn queue(store: &Store, id: &str, owner: &str, priority: i32) {
+    let new = NewJob { owner: owner.into(), priority, ..new_job("") };
+    store.create(id, &new, &Limits::default()).await.unwrap();
+}
+
+async fn priority_comes_first_then_the_owner_with_least_then_age(home: Home) {
+    let stores: [Store; 2] = home.servers().await;
+    add_mesh(&stores[0], "mesh").await;
+    let jobs = [
+        ("a0", "ann", 0),
+        ("a1", "ann", 0),
+        ("a2", "ann", 0),
+        ("b0", "bob", 0),
+        ("b1", "bob", 0),
+        ("low", "cid", -1),
+        ("high", "ann", 7),
+        ("c0", "cid", 0),
+    ];
+    for (id, owner, priority) in jobs {
+        queue(&stores[0], id, owner, priority).await;
+    }
+    let mut order = Vec::new();
+    while let Some((job, _)) = claim(&stores[order.len() % 2], &format!("w{}", order.len())).await {
+        order.push(job.id);
+    }
+    // Ann has one at work by `high`; then everybody has one, and the oldest comes first.
+    assert_eq!(order, ["high", "b0", "c0", "a0", "b1", "a1", "a2", "low"]);
+}
+
+async fn who_has_had_much_waits_for_who_has_had_little(home: Home) {
+    let stores: [Store; 2] = home.servers().await;
+    add_mesh(&stores[0], "mesh").await;
+    for i in 0..3 {
+        queue(&stores[0], &format!("a{i}"), "ann", 0).await;
+    }
+    let done = Outcome::Succeeded(vec![]);
+    let mut order = Vec::new();
+    // One worker; Bob comes late, and has short jobs.
+    for i in 0..6 {
+        let (job, lease) = claim(&stores[i % 2], "w").await.unwrap();
+        if job.owner == "ann" {
+            let update = "UPDATE jobs SET started_ms = started_ms - 3600000 WHERE id = $1";
+            sqlx::query(update).bind(&job.id).execute(&stores[0].writers).await.unwrap();
+        }
+        stores[i % 2].complete(&lease, &done, 3).await.unwrap();
+        order.push(job.id);
+        if i == 0 {
+            for i in 0..3 {
+                queue(&stores[1], &format!("b{i}"), "bob", 0).await;
+            }
+        }
+    }
+    assert_eq!(order, ["a0", "b0", "b1", "b2", "a1", "a2"]);
+}
+
+async fn jobs_of_higher_priority_get_the_workers_of_lower_ones(home: Home) {
+    let stores: [Store; 2] = home.servers().await;
+    add_mesh(&stores[0], "mesh").await;
+    let at_once = Terms { preempt_after: Duration::ZERO, ..Terms::default() };
+    for (id, priority) in [("low", -1), ("old", 0), ("young", 0), ("equal", 5)] {
+        queue(&stores[0], id, "ann", priority).await;
+    }
+    let mut leases = std::collections::BTreeMap::new();
+    for worker in ["w0", "w1", "w2", "w3"] {
+        let (job, lease) = claim(&stores[0], worker).await.unwrap();
+        leases.insert(job.id, lease);
+        tokio::time::sleep(Duration::from_millis(3)).await;
+    }
+    let preempt = async |terms: &Terms| {
+        tokio::time::sleep(Duration::from_millis(3)).await;
+        let (a, b) = tokio::join!(stores[0].preempt(terms), stores[1].preempt(terms));
+        let jobs = [a.unwrap(), b.unwrap()].concat();
+        jobs.into_iter().map(|job| job.id).collect::<Vec<_>>()
+    };
+    for id in ["high0", "high1"] {
+        queue(&stores[0], id, "bob", 5).await;
+    }
+    assert_eq!(preempt(&Terms::default()).await, [""; 0], "they have only just come");
+    // The lowest makes room, and of equals the one that has done least.
+    assert_eq!(preempt(&at_once).await, ["low", "young"]);
+    assert_eq!(preempt(&at_once).await, [""; 0], "two are on their way");
+    queue(&stores[0], "high2", "bob", 5).await;
+    queue(&stores[0], "high3", "bob", 5).await;
+    assert_eq!(preempt(&at_once).await, ["old"], "nobody makes room for an equal");
+    let orders = stores[1].heartbeat(&leases["low"], &Terms::default()).await.unwrap();
+    assert_eq!(orders, Orders { preempt: true, ..Orders::default() });
+    let handed_back = Outcome::Released(String::new());
+    let low = stores[1].complete(&leases["low"], &handed_back, 3).await.unwrap();
+    assert_eq!((low.state, low.lost), (State::Queued, 0));
+    assert_eq!(stores[0].attempts("low", 1).await.unwrap()[0].reason, "PREEMPTED");
+    assert_eq!(claim(&stores[0], "w9").await.unwrap().0.id, "high0");
+    // When it is its turn again nobody wants its worker.
+    for id in ["high1", "high2", "high3"] {
+        stores[0].cancel(id).await.unwrap();
+    }
+    let (low, lease) = claim(&stores[1], "w8").await.unwrap();
+    assert_eq!((&*low.id, low.attempt), ("low", 2));
+    let orders = stores[1].heartbeat(&lease, &Terms::default()).await.unwrap();
+    assert_eq!(orders, Orders::default());
 }
 
 fn to_be_told() -> NewJob {

@@ -167,6 +167,7 @@ impl Dialect {
             (10, "webhooks", include_str!("../migrations/0010_webhooks.sql")),
             (11, "results", include_str!("../migrations/0011_results.sql")),
             (13, "attempts", include_str!("../migrations/0013_attempts.sql")),
+            (14, "queue", include_str!("../migrations/0014_queue.sql")),
         ];
         let migration = |(version, name, sql): (i64, &'static str, &'static str)| {
             let sql = sqlx::SqlSafeStr::into_sql_str(AssertSqlSafe(self.text(sql).into_owned()));

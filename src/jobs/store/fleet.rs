@@ -161,13 +161,13 @@ async fn lost_in_a_row(tx: &mut Tx, host: &str, limit: u32) -> Result<Vec<String
     rows.iter().map(clause).collect()
 }
 
-/// The worker of a running job was heard of.
-pub(super) async fn seen(tx: &mut Tx, job: &Job, terms: &Terms, now: i64) -> Result<()> {
-    let Some(host) = attempts::host_of(tx, job).await? else { return Ok(()) };
+/// The worker of a running job was heard of; whether its host is to be drained.
+pub(super) async fn seen(tx: &mut Tx, job: &Job, terms: &Terms, now: i64) -> Result<bool> {
+    let Some(host) = attempts::host_of(tx, job).await? else { return Ok(false) };
     let update = "UPDATE workers SET seen_ms = $1 WHERE host = $2 AND seen_ms < $3";
-    let update = sqlx::query(update).bind(now).bind(host).bind(now - seldom(terms));
+    let update = sqlx::query(update).bind(now).bind(&host).bind(now - seldom(terms));
     update.execute(&mut **tx).await?;
-    Ok(())
+    Ok(find(tx, &host, now).await?.is_some_and(|worker| worker.drained))
 }
 
 /// The worker of a running job has done it: its host is sound.

@@ -1,5 +1,5 @@
 //! The job database, SQLite or PostgreSQL (`dialect.rs`), and all of its SQL (here, in `clients.rs`,
-//! `attempts.rs`, `expiry.rs`, `fleet.rs`, `owners.rs`, `webhooks.rs` and `workers.rs`).
+//! `attempts.rs`, `expiry.rs`, `fleet.rs`, `owners.rs`, `queue.rs`, `webhooks.rs` and `workers.rs`).
 //!
 //! 1. A transaction that reads before it writes locks first what it reads: SQLite by BEGIN IMMEDIATE (a
 //!    deferred one that upgrades is refused with SQLITE_BUSY whatever the busy timeout), PostgreSQL
@@ -20,6 +20,7 @@ mod expiry;
 mod fleet;
 mod listen;
 mod owners;
+mod queue;
 mod webhooks;
 mod workers;
 
@@ -34,6 +35,7 @@ use self::dialect::{places, sql};
 use super::{
     error::{Error, Result},
     event::{Body, Event, ServerEvent},
+    lease::Orders,
     spec::Spec,
     state::State,
 };
@@ -48,6 +50,7 @@ pub use workers::{Appended, Outcome};
 
 /// A job as stored.
 #[derive(Clone, Debug, PartialEq)]
+#[expect(clippy::struct_excessive_bools, reason = "it is a row of a table")]
 pub struct Job {
     /// Order of creation, from 1.
     pub n: i64,
@@ -89,6 +92,10 @@ pub struct Job {
     pub started_ms: Option<i64>,
     /// When it ended.
     pub ended_ms: Option<i64>,
+    /// Those of higher priority come first.
+    pub priority: i32,
+    /// One of higher priority waits for its worker.
+    pub preempt: bool,
     /// Its results are kept beyond their time.
     pub pinned: bool,
     /// Its results are gone: their time was up.
@@ -99,6 +106,11 @@ impl Job {
     /// Resource name, `jobs/{id}`.
     pub fn name(&self) -> String {
         format!("jobs/{}", self.id)
+    }
+
+    /// What its worker should do.
+    pub(super) fn orders(&self) -> Orders {
+        Orders { cancel: self.cancel_requested, drain: false, preempt: self.preempt }
     }
 }
 
@@ -183,6 +195,8 @@ enum Exclusive<'a> {
     Create,
     /// Counting what an owner has against what it may have.
     Count,
+    /// Asking workers to make room.
+    Preempt,
     /// Storing or sweeping the mesh of this hash.
     Mesh(&'a str),
 }
@@ -193,6 +207,7 @@ impl Exclusive<'_> {
         match self {
             Self::Create => -1,
             Self::Count => -2,
+            Self::Preempt => -3,
             // 60 bits of it; meshes that share them wait for one another.
             Self::Mesh(hash) => {
                 i64::from_str_radix(hash.get(..15).unwrap_or_default(), 16).unwrap_or(0)
@@ -308,6 +323,8 @@ fn job_of(row: &AnyRow) -> Result<Job> {
         created_ms: int("created_ms")?,
         started_ms: row.try_get("started_ms")?,
         ended_ms: row.try_get("ended_ms")?,
+        priority: int("priority")? as i32,
+        preempt: int("preempt")? != 0,
         pinned: int("pinned")? != 0,
         results_removed: int("swept")? != 0,
         id,

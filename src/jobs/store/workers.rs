@@ -8,12 +8,12 @@ use sqlx::AnyConnection;
 use super::{
     Artifact, Body, Job, SegmentRange, Store, Tx,
     attempts::{self, Finish},
-    find, find_to_write, fleet, job_of, log, now_ms, sql, state_entry, storable, webhooks,
+    find, find_to_write, fleet, job_of, log, now_ms, queue, sql, state_entry, storable, webhooks,
 };
 use crate::jobs::{
     error::{Error, Result},
     event::{CREATED_SEQ, Report, ServerEvent},
-    lease::{Claimant, Lease, Loss, Terms, verdict},
+    lease::{Claimant, Lease, Loss, Orders, Terms, verdict},
     state::Trigger,
 };
 
@@ -37,13 +37,13 @@ pub enum Outcome {
 pub struct Appended {
     /// Events of this attempt now held.
     pub held: u64,
-    /// The worker should stop.
-    pub cancel_requested: bool,
+    /// What the worker should do.
+    pub orders: Orders,
 }
 
 impl Store {
-    /// Gives the oldest queued job to a worker, those last that its host has lost; refused when the host is out
-    /// of service.
+    /// Gives the queued job whose turn it is to a worker, those last that its host has lost; refused when the host is
+    /// out of service.
     pub async fn claim(&self, who: impl Into<Claimant>, terms: &Terms) -> Result<Option<Job>> {
         let who = who.into();
         let mut tx = self.begin().await?;
@@ -53,7 +53,7 @@ impl Store {
             tx.commit().await?;
             return Err(refusal);
         }
-        let job = match next(&mut tx, &who, terms, now).await? {
+        let job = match queue::next(&mut tx, &who, terms, now).await? {
             Some(job) => Some(start(&mut tx, job, &who, terms).await?),
             None => None,
         };
@@ -61,17 +61,17 @@ impl Store {
         Ok(job)
     }
 
-    /// Extends a lease; true when the worker should stop.
-    pub async fn heartbeat(&self, lease: &Lease, terms: &Terms) -> Result<bool> {
+    /// Extends a lease; what the worker should do.
+    pub async fn heartbeat(&self, lease: &Lease, terms: &Terms) -> Result<Orders> {
         let mut tx = self.begin().await?;
         let job = held_to_write(&mut tx, lease).await?;
         let now = now_ms(&mut tx).await?;
         let until = now + terms.lease.as_millis() as i64;
         let update = sqlx::query("UPDATE jobs SET lease_until_ms = $1 WHERE id = $2");
         update.bind(until).bind(&lease.job).execute(&mut *tx).await?;
-        fleet::seen(&mut tx, &job, terms, now).await?;
+        let drain = fleet::seen(&mut tx, &job, terms, now).await?;
         tx.commit().await?;
-        Ok(job.cancel_requested)
+        Ok(Orders { drain, ..job.orders() })
     }
 
     /// The job, if the lease is good at this moment.
@@ -102,7 +102,7 @@ impl Store {
             update.bind(job.fraction).bind(&job.id).execute(&mut *tx).await?;
             tx.commit().await?;
         }
-        Ok(Appended { held: job.appended, cancel_requested: job.cancel_requested })
+        Ok(Appended { held: job.appended, orders: job.orders() })
     }
 
     /// Notes that a file of the result is stored.
@@ -144,7 +144,10 @@ impl Store {
             Outcome::AttemptFailed(text) => {
                 lose(&mut tx, job, Loss::AttemptFailed, text, max_lost).await?
             }
-            Outcome::Released(text) => lose(&mut tx, job, Loss::Released, text, max_lost).await?,
+            Outcome::Released(text) => {
+                let loss = if job.preempt { Loss::Preempted } else { Loss::Released };
+                lose(&mut tx, job, loss, text, max_lost).await?
+            }
         };
         tx.commit().await?;
         Ok(job)
@@ -234,33 +237,17 @@ async fn repeated(
     query.fetch_optional(conn).await?.as_ref().map(job_of).transpose()
 }
 
-/// The oldest job that this worker should have, locked; one that its host has lost only where nobody else
-/// could have it.
-async fn next(tx: &mut Tx, who: &Claimant, terms: &Terms, now: i64) -> Result<Option<Job>> {
-    for suits in [fleet::UNSHUNNED, fleet::NOBODY_ELSE_S] {
-        let query = format!(
-            "SELECT * FROM jobs WHERE state = 'QUEUED' AND {suits} AND $3 > $4 ORDER BY n LIMIT 1 \
-             /*pg FOR UPDATE SKIP LOCKED */"
-        );
-        let query = sqlx::query(sql(tx, &query)).bind(&who.host).bind(fleet::shunned_since(now));
-        let query = query.bind(now).bind(fleet::alive_since(now, terms));
-        if let Some(row) = query.fetch_optional(&mut **tx).await? {
-            return Ok(Some(job_of(&row)?));
-        }
-    }
-    Ok(None)
-}
-
 async fn start(tx: &mut Tx, mut job: Job, who: &Claimant, terms: &Terms) -> Result<Job> {
     let now = now_ms(tx).await?;
     job.state = after(&job, Trigger::Claim)?;
     job.epoch += 1;
     job.attempt += 1;
     job.appended = 0;
+    job.preempt = false;
     job.worker.clone_from(&who.worker);
     job.started_ms = Some(now);
     let update = "UPDATE jobs SET state = $1, epoch = $2, attempt = $3, worker = $4, appended = 0, \
-                  lease_until_ms = $5, started_ms = $6, stage = '', fraction = 0 WHERE id = $7";
+                  lease_until_ms = $5, started_ms = $6, preempt = 0, stage = '', fraction = 0 WHERE id = $7";
     let update = sqlx::query(update).bind(job.state.name()).bind(job.epoch as i64);
     let update = update
         .bind(i64::from(job.attempt))
@@ -369,8 +356,9 @@ async fn requeue(tx: &mut Tx, mut job: Job, loss: Loss, why: &str) -> Result<Job
     };
     let entries = [(Body::Server(restarted), None), state_entry(&job, loss.reason(), text)];
     job.worker = String::new();
-    let update = "UPDATE jobs SET state = $1, worker = '', stage = '', fraction = 0 WHERE id = $2";
-    let update = sqlx::query(update).bind(job.state.name()).bind(&job.id);
+    let update = "UPDATE jobs SET state = $1, worker = '', stage = '', fraction = 0, queued_ms = $2 \
+                  WHERE id = $3";
+    let update = sqlx::query(update).bind(job.state.name()).bind(now).bind(&job.id);
     update.execute(&mut **tx).await?;
     log(tx, &mut job, now, &entries).await?;
     Ok(job)

@@ -120,6 +120,7 @@ async fn new_job(jobs: &Jobs, request_id: &str) -> NewJob {
         mesh,
         file_name,
         spec: Spec::new(vec![5]),
+        priority: 0,
         webhook: String::new(),
     }
 }
@@ -274,14 +275,14 @@ async fn workers_that_outlive_the_server_keep_their_jobs(home: Home) {
     jobs.close().await;
     drop(jobs);
     let jobs = home.open().await;
-    assert!(!jobs.heartbeat(&lease).await.unwrap());
-    assert!(!jobs.heartbeat(&remote).await.unwrap());
+    assert!(!jobs.heartbeat(&lease).await.unwrap().cancel);
+    assert!(!jobs.heartbeat(&remote).await.unwrap().cancel);
     // The process that held the lock ends; that of the other worker cannot be seen from here.
     assert_eq!(jobs.sweep_leases().await.unwrap(), []);
     drop(alive);
     assert_eq!(jobs.sweep_leases().await.unwrap().len(), 1);
     assert!(jobs.heartbeat(&lease).await.is_err());
-    assert!(!jobs.heartbeat(&remote).await.unwrap());
+    assert!(!jobs.heartbeat(&remote).await.unwrap().cancel);
 }
 
 async fn a_worker_that_asks_again_has_dropped_its_job(home: Home) {
@@ -307,8 +308,8 @@ async fn cancelled_jobs_keep_what_was_stored(home: Home) {
     assert!(matches!(unasked, Err(Error::Illegal { .. })));
     put(&jobs, &lease, "lod-0.glb", b"whole").await.unwrap();
     assert!(jobs.cancel(&id).await.unwrap().0.cancel_requested);
-    assert!(jobs.append(&lease, 0, vec![note("x")]).await.unwrap().cancel_requested);
-    assert!(jobs.heartbeat(&lease).await.unwrap());
+    assert!(jobs.append(&lease, 0, vec![note("x")]).await.unwrap().orders.cancel);
+    assert!(jobs.heartbeat(&lease).await.unwrap().cancel);
     jobs.complete(&lease, &Outcome::Cancelled).await.unwrap();
     assert_eq!(jobs.artifacts(&id).await.unwrap().len(), 1);
     jobs.delete(&id).await.unwrap();
@@ -329,6 +330,7 @@ async fn requests_are_idempotent_and_checked_as_a_whole(home: Home) {
         mesh: "0".repeat(64),
         file_name: "a/b".into(),
         spec: Spec::new(vec![]),
+        priority: 0,
         webhook: String::new(),
     };
     let Err(Error::Invalid(faults)) = jobs.create(bad, vec![]).await else { panic!("accepted") };

@@ -60,6 +60,7 @@ pub fn job_to_wire(job: &Job) -> v1::Job {
         fraction: job.fraction,
         owner: job.owner.clone(),
         pinned: job.pinned,
+        priority: job.priority,
         results_removed: job.results_removed,
     }
 }
