@@ -61,7 +61,7 @@ enum Command {
     Pin(jobs::PinArgs),
     /// Delete a job that has ended, with its results.
     Delete(jobs::DeleteArgs),
-    /// List the workers of a server, or take one back into service (administrators).
+    /// List the workers of a server, take one out of service or back into it (administrators).
     Workers(workers::WorkersArgs),
     /// Fetch the results of a job.
     Fetch(fetch::FetchArgs),

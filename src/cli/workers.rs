@@ -22,6 +22,11 @@ pub(crate) struct WorkersArgs {
 enum Act {
     /// List them (what happens without a verb).
     List,
+    /// Take a worker out of service: it hands back the job that it has, and gets no other.
+    Drain {
+        /// `workers/{host}` or just the host.
+        worker: String,
+    },
     /// Take a worker back into service: what it has lost so far does not count any more.
     Reinstate {
         /// `workers/{host}` or just the host.
@@ -33,6 +38,15 @@ pub(crate) async fn run(args: WorkersArgs) -> Result<(), Failure> {
     let remote = Remote::connect(&args.server).await?;
     match args.act.unwrap_or(Act::List) {
         Act::List => list(&remote).await,
+        Act::Drain { worker } => {
+            let request = v1::DrainWorkerRequest { name: worker_name(&worker) };
+            let answer = remote.call(|mut client| {
+                let request = request.clone();
+                async move { client.drain_worker(request).await }
+            });
+            show(answer.await?.worker);
+            Ok(())
+        }
         Act::Reinstate { worker } => {
             let request = v1::ReinstateWorkerRequest { name: worker_name(&worker) };
             let answer = remote.call(|mut client| {

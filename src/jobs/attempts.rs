@@ -14,7 +14,7 @@ use super::{
     clients::Announced,
     error::{Error, Result},
     event::Report,
-    lease::{Claimant, Lease, Orders},
+    lease::{Claimant, Lease, Loss, Orders},
     segment,
     state::State,
     store::{Appended, Artifact, Attempt, Job, Outcome, Worker},
@@ -119,6 +119,16 @@ impl Jobs {
     /// The hosts that have asked for work, by name.
     pub async fn workers(&self) -> Result<Vec<Worker>> {
         self.0.store.workers().await
+    }
+
+    /// Takes a host out of service.
+    pub async fn drain(&self, host: &str) -> Result<Worker> {
+        self.0.store.drain(host).await
+    }
+
+    /// Takes back whatever a worker holds that ends in peace; the jobs concerned.
+    pub async fn leave(&self, worker: &str) -> Result<Vec<Job>> {
+        self.lose_worker(worker, Loss::Released).await
     }
 
     /// Takes a host back into service.

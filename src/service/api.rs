@@ -225,6 +225,19 @@ impl v1::lookalike_service_server::LookalikeService for Api {
         Ok(Response::new(v1::ListWorkersResponse { workers, next_page_token }))
     }
 
+    async fn drain_worker(
+        &self,
+        request: Request<v1::DrainWorkerRequest>,
+    ) -> Result<Response<v1::DrainWorkerResponse>, Status> {
+        let call = call_of(&request)?;
+        let host = convert::worker_host("name", &request.into_inner().name)?;
+        call.is_about(format!("workers/{host}"));
+        let worker = self.jobs.drain(&host).await.map_err(|e| status_of(&e))?;
+        tracing::info!(host, "a worker is drained");
+        let worker = Some(convert::worker_to_wire(worker));
+        Ok(Response::new(v1::DrainWorkerResponse { worker }))
+    }
+
     async fn reinstate_worker(
         &self,
         request: Request<v1::ReinstateWorkerRequest>,

@@ -153,6 +153,17 @@ impl worker::worker_service_server::WorkerService for WorkerApi {
         self.observer.ended(&job);
         Ok(Response::new(worker::CompleteResponse {}))
     }
+
+    async fn leave(
+        &self,
+        request: Request<worker::LeaveRequest>,
+    ) -> Result<Response<worker::LeaveResponse>, Status> {
+        let request = request.into_inner();
+        let handed_back = self.jobs.leave(&request.worker).await.map_err(|e| status_of(&e))?;
+        tracing::info!(worker = request.worker, n_jobs = handed_back.len(), "worker left");
+        handed_back.iter().for_each(|job| self.observer.ended(job));
+        Ok(Response::new(worker::LeaveResponse {}))
+    }
 }
 
 impl WorkerApi {

@@ -76,6 +76,8 @@ pub enum Ended {
     Ready,
     /// The pipeline panicked: the process should not be trusted with another job.
     Tainted,
+    /// The pipeline does not stop, though its job is handed back.
+    Stuck,
 }
 
 /// What is to be done, read from the wire.
@@ -142,6 +144,11 @@ pub async fn run(
     let finished = tokio::select! {
         finished = finish => finished,
         lost = keep_alive(link, &lease, heartbeat, &stop, drain) => Err(lost),
+        reason = overdue(&stop, config.drain) => {
+            tracing::warn!(job = lease.job, "the pipeline does not stop, and its job is handed back");
+            link.complete(&lease, Outcome::Released(reason.into())).await?;
+            return Ok(Ended::Stuck);
+        }
     };
     match finished {
         Ok(result) => {
@@ -187,6 +194,18 @@ async fn keep_alive(
             }
         }
     }
+}
+
+/// Returns when the attempt was to be handed back so long ago.
+async fn overdue(stop: &watch::Sender<Option<Stop>>, limit: Duration) -> &'static str {
+    let hands_back = |reason: &Option<Stop>| matches!(reason, Some(Stop::Drain | Stop::Preempt));
+    let mut stopped = stop.subscribe();
+    if stopped.wait_for(hands_back).await.is_err() {
+        // The sender is in the caller's hands: it is never gone.
+        return std::future::pending().await;
+    }
+    tokio::time::sleep(limit).await;
+    "the worker did not stop in time"
 }
 
 /// After a call that the server refused: the attempt failed, if the server still listens.

@@ -178,6 +178,17 @@ impl Link {
         Ok(())
     }
 
+    /// Tells the server that this worker ends.
+    pub async fn leave(&self, worker: &str) -> Result<(), LinkError> {
+        let request = wire::LeaveRequest { worker: worker.into() };
+        let call = |mut client: WorkerServiceClient<Connection>| {
+            let request = request.clone();
+            async move { client.leave(request).await }
+        };
+        self.answered(CALL, call).await?;
+        Ok(())
+    }
+
     /// Repeats `call` until the server answers it.
     async fn answered<T, F>(
         &self,

@@ -46,7 +46,7 @@ pub struct Crew {
     pub runtime_dir: PathBuf,
     /// Log in JSON.
     pub log_json: bool,
-    /// How long a child may take to hand its job back.
+    /// How long a child may take to end; half of it to hand its job back.
     pub drain: Duration,
 }
 
@@ -110,6 +110,7 @@ impl Crew {
         command.arg("--host").arg(host_name(&format!("-{slot}")));
         command.arg("--memory-mib").arg(self.memory_mib.to_string());
         command.arg("--cpu-secs").arg(self.cpu_secs.to_string());
+        command.arg("--drain-secs").arg((self.drain.as_secs_f64() / 2.0).to_string());
         command.arg("--lock").arg(self.locks.join(format!("{id}.lock")));
         command.arg("--scratch").arg(self.scratch.join(id));
         if self.log_json {

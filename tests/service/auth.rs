@@ -169,6 +169,10 @@ async fn call(client: &mut Client, method: &str, mesh: &str, job: &str, done: &s
         "CancelJob" => client.cancel_job(v1::CancelJobRequest { name }).await.map(drop),
         "PinJob" => client.pin_job(v1::PinJobRequest { name, pinned: true }).await.map(drop),
         "ListWorkers" => client.list_workers(v1::ListWorkersRequest::default()).await.map(drop),
+        "DrainWorker" => {
+            let request = v1::DrainWorkerRequest { name: "workers/done".into() };
+            client.drain_worker(request).await.map(drop)
+        }
         "ReinstateWorker" => {
             let request = v1::ReinstateWorkerRequest { name: "workers/done".into() };
             client.reinstate_worker(request).await.map(drop)
@@ -210,6 +214,7 @@ async fn work(worker: &mut Worker, method: &str, caller: &str) -> Code {
         "PutArtifact" => {
             worker.put_artifact(futures::stream::iter(artifact(&lease))).await.map(drop)
         }
+        "Leave" => worker.leave(wire::LeaveRequest { worker: "nobody".into() }).await.map(drop),
         "Complete" => {
             let outcome =
                 Some(wire::complete_request::Outcome::Succeeded(wire::Succeeded::default()));
@@ -230,7 +235,7 @@ const I: Code = Code::InvalidArgument;
 const F: Code = Code::FailedPrecondition;
 
 #[rustfmt::skip]
-pub(crate) const PUBLIC: [(&str, [Code; 8]); 12] = [
+pub(crate) const PUBLIC: [(&str, [Code; 8]); 13] = [
     // method          anonymous wrong expired bob viewer ann worker admin
     ("UploadMesh",    [U, U, U, O, P, O, P, O]),
     ("CreateJob",     [U, U, U, I, P, O, P, I]),
@@ -243,17 +248,19 @@ pub(crate) const PUBLIC: [(&str, [Code; 8]); 12] = [
     ("ListArtifacts", [U, U, U, N, O, O, P, O]),
     ("ReadArtifact",  [U, U, U, N, O, O, P, O]),
     ("ListWorkers",   [U, U, U, P, P, P, P, O]),
+    ("DrainWorker",   [U, U, U, P, P, P, P, O]),
     ("ReinstateWorker", [U, U, U, P, P, P, P, O]),
 ];
 
 #[rustfmt::skip]
-const WORK: [(&str, [Code; 8]); 6] = [
+const WORK: [(&str, [Code; 8]); 7] = [
     ("Claim",         [U, U, U, P, P, P, O, O]),
     ("Heartbeat",     [U, U, U, P, P, P, F, F]),
     ("FetchMesh",     [U, U, U, P, P, P, F, F]),
     ("AppendEvents",  [U, U, U, P, P, P, F, F]),
     ("PutArtifact",   [U, U, U, P, P, P, F, F]),
     ("Complete",      [U, U, U, P, P, P, F, F]),
+    ("Leave",         [U, U, U, P, P, P, O, O]),
 ];
 
 #[tokio::test]

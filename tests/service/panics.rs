@@ -41,6 +41,7 @@ async fn crew(url: String, scratch: std::path::PathBuf) -> u32 {
     loop {
         let config = WorkerConfig {
             host: String::new(),
+            drain: Duration::from_secs(10),
             url: url.clone(),
             access: Access::default(),
             id: format!("incarnation-{n_tainted}"),

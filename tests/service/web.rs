@@ -116,6 +116,7 @@ async fn route(web: &Web, method: &str, mesh: &str, job: &str, done: &str) -> Re
         "DeleteJob" => web.send("DELETE", &at(job), &[], "").await,
         "ListArtifacts" => web.get(&at(&format!("{job}/artifacts"))).await,
         "ListWorkers" => web.get(&at("workers")).await,
+        "DrainWorker" => web.post(&at("workers/done:drain"), json!({})).await,
         "ReinstateWorker" => web.post(&at("workers/done:reinstate"), json!({})).await,
         "ReadArtifact" => web.get(&at(&format!("{done}/artifacts/x"))).await,
         other => panic!("{other} is not called"),

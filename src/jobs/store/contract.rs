@@ -68,6 +68,7 @@ in_homes! { [on_sqlite on_postgres] [
     priority_comes_first_then_the_owner_with_least_then_age,
     who_has_had_much_waits_for_who_has_had_little,
     jobs_of_higher_priority_get_the_workers_of_lower_ones,
+    a_drained_host_hands_its_job_back_and_gets_no_other,
     results_go_when_their_time_is_up_unless_pinned,
     webhooks_are_due_with_the_end_and_taken_once,
     webhooks_go_with_their_job_and_nobody_is_called_unasked,
@@ -553,6 +554,29 @@ async fn jobs_of_higher_priority_get_the_workers_of_lower_ones(home: Home) {
     assert_eq!((&*low.id, low.attempt), ("low", 2));
     let orders = stores[1].heartbeat(&lease, &Terms::default()).await.unwrap();
     assert_eq!(orders, Orders::default());
+}
+
+async fn a_drained_host_hands_its_job_back_and_gets_no_other(home: Home) {
+    let stores: [Store; 2] = home.servers().await;
+    create(&stores[0], "a", 2).await;
+    let terms = Terms::default();
+    let (_, lease) = claim_on(&stores[0], "x", &terms).await.unwrap().unwrap();
+    assert!(matches!(stores[1].drain("none").await, Err(Error::NotFound(_))));
+    assert_eq!(stores[0].heartbeat(&lease, &terms).await.unwrap(), Orders::default());
+    assert!(stores[1].drain("x").await.unwrap().drained);
+    let orders = stores[0].heartbeat(&lease, &terms).await.unwrap();
+    assert_eq!(orders, Orders { drain: true, ..Orders::default() });
+    let job = stores[0].complete(&lease, &Outcome::Released(String::new()), 3).await.unwrap();
+    assert_eq!((job.state, job.lost), (State::Queued, 0));
+    // Another incarnation is no way around it, and an end of a quarantine neither.
+    let (why, is_news) = refusal(claim_on(&stores[0], "x", &terms).await);
+    assert!(why.contains("administrator") && !is_news, "{why}");
+    let (_, other) = claim_on(&stores[1], "y", &terms).await.unwrap().unwrap();
+    // It leaves before it has heard of its job.
+    let lost = stores[1].lose_worker(&other.worker, Loss::Released, 3).await.unwrap();
+    assert_eq!((lost.len(), lost[0].lost), (1, 0));
+    assert!(!stores[1].reinstate("x").await.unwrap().drained);
+    assert!(claim_on(&stores[0], "x", &terms).await.unwrap().is_some());
 }
 
 fn to_be_told() -> NewJob {

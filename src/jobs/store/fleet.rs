@@ -89,6 +89,17 @@ impl Store {
         Ok(())
     }
 
+    /// A host is to work no more, until somebody reinstates it.
+    pub async fn drain(&self, host: &str) -> Result<Worker> {
+        let mut tx = self.begin().await?;
+        let now = now_ms(&mut tx).await?;
+        let update = sqlx::query("UPDATE workers SET drained = 1 WHERE host = $1");
+        update.bind(host).execute(&mut *tx).await?;
+        let worker = find(&mut tx, host, now).await?;
+        tx.commit().await?;
+        worker.ok_or_else(|| Error::NotFound(format!("workers/{host}")))
+    }
+
     /// Somebody vouches for a host: what it has lost so far does not speak against it any more.
     pub async fn reinstate(&self, host: &str) -> Result<Worker> {
         let mut tx = self.begin().await?;

@@ -57,6 +57,7 @@ const METHODS: &[Method] = &[
     row("/lookalike.v1.LookalikeService/ListArtifacts",     READ,  Audit::No,    false),
     row("/lookalike.v1.LookalikeService/ReadArtifact",      READ,  Audit::No,    true),
     row("/lookalike.v1.LookalikeService/ListWorkers",       MANAGE, Audit::No,   false),
+    row("/lookalike.v1.LookalikeService/DrainWorker",       MANAGE, Audit::Yes,  false),
     row("/lookalike.v1.LookalikeService/ReinstateWorker",   MANAGE, Audit::Yes,  false),
     row("/lookalike.worker.v1.WorkerService/Claim",         WORK,  Audit::No,    false),
     row("/lookalike.worker.v1.WorkerService/Heartbeat",     WORK,  Audit::No,    false),
@@ -64,6 +65,7 @@ const METHODS: &[Method] = &[
     row("/lookalike.worker.v1.WorkerService/AppendEvents",  WORK,  Audit::No,    false),
     row("/lookalike.worker.v1.WorkerService/PutArtifact",   WORK,  Audit::No,    false),
     row("/lookalike.worker.v1.WorkerService/Complete",      WORK,  Audit::Yes,   false),
+    row("/lookalike.worker.v1.WorkerService/Leave",         WORK,  Audit::No,    false),
     row("/grpc.health.v1.Health/Check",                     Need::Nothing, Audit::No, false),
     row("/grpc.health.v1.Health/Watch",                     Need::Nothing, Audit::No, false),
 ];
@@ -96,7 +98,7 @@ mod tests {
                 paths.extend(service.method.iter().map(path));
             }
         }
-        assert_eq!(paths.len(), 18, "{paths:?}");
+        assert_eq!(paths.len(), 20, "{paths:?}");
         for path in paths {
             assert!(matches!(method(&path).need, Need::May(_)), "{path} has no row");
         }

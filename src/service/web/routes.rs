@@ -56,6 +56,7 @@ const ROUTES: &[Route] = &[
     row(Method::GET,    ("jobs/*/artifacts/*", ""),           "name",   "ReadArtifact",  Answer::File),
     row(Method::POST,   ("",                   "meshes"),     "",       "UploadMesh",    Answer::Upload),
     row(Method::GET,    ("",                   "workers"),    "",       "ListWorkers",   Answer::Message),
+    row(Method::POST,   ("workers/*",          ":drain"),    "name",   "DrainWorker",   Answer::Message),
     row(Method::POST,   ("workers/*",          ":reinstate"), "name",   "ReinstateWorker", Answer::Message),
 ];
 
@@ -127,6 +128,7 @@ mod tests {
             ),
             ("POST", "/api/v1/meshes", Ok(("UploadMesh", ""))),
             ("GET", "/api/v1/workers", Ok(("ListWorkers", ""))),
+            ("POST", "/api/v1/workers/a-0:drain", Ok(("DrainWorker", "workers/a-0"))),
             ("POST", "/api/v1/workers/a-0:reinstate", Ok(("ReinstateWorker", "workers/a-0"))),
             ("GET", "/api/v1/", Err(404)),
             ("GET", "/api/v1/jobs/", Err(404)),
