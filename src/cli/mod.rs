@@ -57,6 +57,8 @@ enum Command {
     Jobs(jobs::JobsArgs),
     /// Cancel a job.
     Cancel(jobs::CancelArgs),
+    /// Queue a job anew that failed or was cancelled.
+    Retry(jobs::RetryArgs),
     /// Keep the results of a job beyond the time that the server keeps them.
     Pin(jobs::PinArgs),
     /// Delete a job that has ended, with its results.
@@ -143,6 +145,7 @@ async fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Watch(args) => watch::run(args).await,
         Command::Jobs(args) => jobs::list(args).await,
         Command::Cancel(args) => jobs::cancel(args).await,
+        Command::Retry(args) => jobs::retry(args).await,
         Command::Pin(args) => jobs::pin(args).await,
         Command::Delete(args) => jobs::delete(args).await,
         Command::Workers(args) => workers::run(args).await,

@@ -170,6 +170,17 @@ impl Jobs {
         Ok(cancelled)
     }
 
+    /// Queues a job anew that failed or was cancelled. One that waits or runs is left alone.
+    pub async fn retry(&self, id: &str) -> Result<Job> {
+        let (job, is_new) = self.0.store.retry(id, &self.0.limits).await?;
+        if is_new {
+            self.0.signals.log_grew(id);
+            self.0.signals.queue_grew();
+            self.0.blobs.remove_artifacts_before(id, job.epoch + 1).await?;
+        }
+        Ok(job)
+    }
+
     /// Deletes an ended job with its log and artifacts.
     pub async fn delete(&self, id: &str) -> Result<()> {
         self.0.store.delete(id).await?;

@@ -94,6 +94,13 @@ impl Desk<'_> {
         self.jobs.cancel(id).await
     }
 
+    /// Queues a job anew that failed or was cancelled.
+    pub async fn retry(&self, id: &str) -> Result<Job> {
+        self.job(id).await?;
+        self.check_bytes().await?;
+        self.jobs.retry(id).await
+    }
+
     /// Keeps the results of a job beyond their time, or no longer so.
     pub async fn pin(&self, id: &str, pinned: bool) -> Result<Job> {
         self.job(id).await?;

@@ -167,6 +167,18 @@ impl v1::lookalike_service_server::LookalikeService for Api {
         Ok(Response::new(v1::CancelJobResponse { job: Some(convert::job_to_wire(&job)) }))
     }
 
+    async fn retry_job(
+        &self,
+        request: Request<v1::RetryJobRequest>,
+    ) -> Result<Response<v1::RetryJobResponse>, Status> {
+        let call = call_of(&request)?;
+        let id = convert::job_id("name", &request.into_inner().name)?;
+        call.is_about(format!("jobs/{id}"));
+        let job = self.jobs.desk(&call.who).retry(&id).await.map_err(|e| status_of(&e))?;
+        tracing::info!(job = id, state = %job.state, "retry requested");
+        Ok(Response::new(v1::RetryJobResponse { job: Some(convert::job_to_wire(&job)) }))
+    }
+
     async fn pin_job(
         &self,
         request: Request<v1::PinJobRequest>,

@@ -167,6 +167,7 @@ async fn call(client: &mut Client, method: &str, mesh: &str, job: &str, done: &s
         "ListJobs" => client.list_jobs(v1::ListJobsRequest::default()).await.map(drop),
         "WatchJob" => client.watch_job(v1::WatchJobRequest { name, after_seq: 0 }).await.map(drop),
         "CancelJob" => client.cancel_job(v1::CancelJobRequest { name }).await.map(drop),
+        "RetryJob" => client.retry_job(v1::RetryJobRequest { name }).await.map(drop),
         "PinJob" => client.pin_job(v1::PinJobRequest { name, pinned: true }).await.map(drop),
         "ListWorkers" => client.list_workers(v1::ListWorkersRequest::default()).await.map(drop),
         "DrainWorker" => {
@@ -235,7 +236,7 @@ const I: Code = Code::InvalidArgument;
 const F: Code = Code::FailedPrecondition;
 
 #[rustfmt::skip]
-pub(crate) const PUBLIC: [(&str, [Code; 8]); 13] = [
+pub(crate) const PUBLIC: [(&str, [Code; 8]); 14] = [
     // method          anonymous wrong expired bob viewer ann worker admin
     ("UploadMesh",    [U, U, U, O, P, O, P, O]),
     ("CreateJob",     [U, U, U, I, P, O, P, I]),
@@ -243,6 +244,7 @@ pub(crate) const PUBLIC: [(&str, [Code; 8]); 13] = [
     ("ListJobs",      [U, U, U, O, O, O, P, O]),
     ("WatchJob",      [U, U, U, N, O, O, P, O]),
     ("CancelJob",     [U, U, U, N, P, O, P, O]),
+    ("RetryJob",      [U, U, U, N, P, O, P, O]),
     ("PinJob",        [U, U, U, N, P, O, P, O]),
     ("DeleteJob",     [U, U, U, N, P, O, P, O]),
     ("ListArtifacts", [U, U, U, N, O, O, P, O]),

@@ -112,6 +112,7 @@ async fn route(web: &Web, method: &str, mesh: &str, job: &str, done: &str) -> Re
         "ListJobs" => web.get(&at("jobs")).await,
         "WatchJob" => web.get(&at(&format!("{job}/events"))).await,
         "CancelJob" => web.post(&at(&format!("{job}:cancel")), json!({})).await,
+        "RetryJob" => web.post(&at(&format!("{job}:retry")), json!({})).await,
         "PinJob" => web.post(&at(&format!("{job}:pin")), json!({"pinned": true})).await,
         "DeleteJob" => web.send("DELETE", &at(job), &[], "").await,
         "ListArtifacts" => web.get(&at(&format!("{job}/artifacts"))).await,

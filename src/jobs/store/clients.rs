@@ -5,12 +5,13 @@ use std::time::Duration;
 use sqlx::{AssertSqlSafe, Row, any::AnyRow};
 
 use super::{
-    Artifact, Exclusive, Job, State, Store, StoredEvent, Tx, event_of, find, find_to_write, job_of,
-    log, now_ms, only, owners, places, sql, state_entry, storable, stored, webhooks,
+    Artifact, Body, Exclusive, Job, State, Store, StoredEvent, Tx, event_of, find, find_to_write,
+    job_of, log, now_ms, only, owners, places, sql, state_entry, storable, stored, webhooks,
 };
 use crate::jobs::{
     Limits,
     error::{Error, Result},
+    event::{CREATED_SEQ, ServerEvent},
     spec::Spec,
     state::Trigger,
 };
@@ -128,12 +129,7 @@ impl Store {
         if let Some(job) = owners::requested(&mut tx, new).await? {
             return Ok((same_request(job, new)?, false));
         }
-        owners::check_queue(&mut tx, &new.owner, limits.max_owner_queued).await?;
-        let query =
-            sqlx::query_scalar::<_, i64>("SELECT count(*) FROM jobs WHERE state = 'QUEUED'");
-        if query.fetch_one(&mut *tx).await? as u64 >= limits.max_queued {
-            return Err(Error::QueueFull(limits.max_queued));
-        }
+        check_queue(&mut tx, &new.owner, limits).await?;
         let now = now_ms(&mut tx).await?;
         keep_meshes(&mut tx, new, now).await?;
         let spec = serde_json::to_string(&new.spec).map_err(stored("the specification"))?;
@@ -233,6 +229,29 @@ impl Store {
         Ok((job, has_ended))
     }
 
+    /// Queues a job anew that failed or was cancelled, with all its log; says whether this call did it. One that
+    /// waits or runs is left alone.
+    pub async fn retry(&self, id: &str, limits: &Limits) -> Result<(Job, bool)> {
+        let mut tx = self.begin().await?;
+        only(&mut tx, Exclusive::Create).await?;
+        let mut job = find_to_write(&mut tx, id).await?;
+        let Some(state) = job.state.after(Trigger::Retry) else {
+            let remedy = if job.state.is_final() {
+                "it has its results: submit it again if you want others"
+            } else if job.cancel_requested {
+                "it is being cancelled: retry it when that is confirmed"
+            } else {
+                return Ok((job, false));
+            };
+            return Err(Error::Illegal { job: job.name(), state: job.state, remedy });
+        };
+        check_queue(&mut tx, &job.owner, limits).await?;
+        job.state = state;
+        renew(&mut tx, &mut job).await?;
+        tx.commit().await?;
+        Ok((job, true))
+    }
+
     /// Deletes an ended job, with its log and the list of its artifacts.
     pub async fn delete(&self, id: &str) -> Result<()> {
         let mut tx = self.begin().await?;
@@ -272,6 +291,48 @@ impl Store {
         let query = sqlx::query_scalar::<_, i64>("SELECT count(*) FROM jobs WHERE id = $1");
         Ok(query.bind(id).fetch_one(&self.readers).await? == 1)
     }
+}
+
+/// Takes from a job that has ended what it ended with, and says so in its log.
+async fn renew(tx: &mut Tx, job: &mut Job) -> Result<()> {
+    let now = now_ms(tx).await?;
+    let update = "UPDATE jobs SET state = $1, queued_ms = $2, worker = '', lost = 0, cancel_requested = 0, \
+                  preempt = 0, failure_reason = '', failure_text = '', ended_ms = NULL, stage = '', \
+                  fraction = 0, swept = 0 WHERE id = $3";
+    let update = sqlx::query(update).bind(job.state.name()).bind(now).bind(&job.id);
+    update.execute(&mut **tx).await?;
+    // What was lost before is history, and speaks against it no more; nor is anything left of its results.
+    for forget in
+        ["UPDATE attempts SET counts = 0 WHERE job = $1", "DELETE FROM artifacts WHERE job = $1"]
+    {
+        sqlx::query(forget).bind(&job.id).execute(&mut **tx).await?;
+    }
+    webhooks::renew(tx, &job.id).await?;
+    let mut renewed = find(tx, &job.id).await?;
+    let text = "queued anew on request";
+    let restarted = ServerEvent::Restarted {
+        rewind_to_seq: CREATED_SEQ,
+        lost_attempt: renewed.attempt,
+        reason: RETRIED.into(),
+        text: text.into(),
+    };
+    let entries = [(Body::Server(restarted), None), state_entry(&renewed, RETRIED, text.into())];
+    log(tx, &mut renewed, now, &entries).await?;
+    *job = renewed;
+    Ok(())
+}
+
+/// Why a job waits that had ended.
+const RETRIED: &str = "RETRIED";
+
+/// Refuses when as many jobs wait as may.
+async fn check_queue(tx: &mut Tx, owner: &str, limits: &Limits) -> Result<()> {
+    owners::check_queue(tx, owner, limits.max_owner_queued).await?;
+    let query = sqlx::query_scalar::<_, i64>("SELECT count(*) FROM jobs WHERE state = 'QUEUED'");
+    if query.fetch_one(&mut **tx).await? as u64 >= limits.max_queued {
+        return Err(Error::QueueFull(limits.max_queued));
+    }
+    Ok(())
 }
 
 /// Makes a mesh as young as if it were stored now; false when there is none.

@@ -69,6 +69,7 @@ in_homes! { [on_sqlite on_postgres] [
     who_has_had_much_waits_for_who_has_had_little,
     jobs_of_higher_priority_get_the_workers_of_lower_ones,
     a_drained_host_hands_its_job_back_and_gets_no_other,
+    a_retry_queues_what_did_not_succeed_anew,
     results_go_when_their_time_is_up_unless_pinned,
     webhooks_are_due_with_the_end_and_taken_once,
     webhooks_go_with_their_job_and_nobody_is_called_unasked,
@@ -577,6 +578,56 @@ async fn a_drained_host_hands_its_job_back_and_gets_no_other(home: Home) {
     assert_eq!((lost.len(), lost[0].lost), (1, 0));
     assert!(!stores[1].reinstate("x").await.unwrap().drained);
     assert!(claim_on(&stores[0], "x", &terms).await.unwrap().is_some());
+}
+
+async fn a_retry_queues_what_did_not_succeed_anew(home: Home) {
+    let stores: [Store; 2] = home.servers().await;
+    add_mesh(&stores[0], "mesh").await;
+    let room = Limits { max_owner_queued: 1, ..Limits::default() };
+    stores[0].create("a", &to_be_told(), &room).await.unwrap();
+    assert!(!stores[1].retry("a", &room).await.unwrap().1, "it waits already");
+    for host in ["x", "y", "z"] {
+        dies_on(&stores[0], host).await;
+    }
+    let poisoned = stores[1].job("a").await.unwrap();
+    assert_eq!((&*poisoned.failure.0, poisoned.state), ("POISONED", State::Failed));
+    let call = stores[0].take_calls(1, Duration::from_hours(1)).await.unwrap().remove(0);
+    // There is room for one.
+    stores[0].create("b", &new_job(""), &room).await.unwrap();
+    let full = stores[0].retry("a", &room).await;
+    assert!(matches!(full, Err(Error::Quota { quota: Quota::Queued, limit: 1 })));
+    assert_eq!(stores[0].job("a").await.unwrap(), poisoned);
+    stores[0].cancel("b").await.unwrap();
+    // Asked twice at once, it is done once.
+    let (one, two) = tokio::join!(stores[0].retry("a", &room), stores[1].retry("a", &room));
+    let (one, two) = (one.unwrap(), two.unwrap());
+    assert_eq!((one.1 ^ two.1, &one.0), (true, &two.0));
+    let job = one.0;
+    assert_eq!((job.state, job.lost, job.ended_ms, job.attempt), (State::Queued, 0, None, 3));
+    assert_eq!(job.failure, (String::new(), String::new()));
+    let log = stores[1].events("a", poisoned.last_seq, 9).await.unwrap();
+    assert_eq!(log.len(), 2);
+    assert!(matches!(&log[0].event.body,
+        Body::Server(ServerEvent::Restarted { rewind_to_seq: 1, reason, .. }) if reason == "RETRIED"));
+    assert_eq!(log[1].event.body.state(), Some(State::Queued));
+    // What is heard of the call about its first end does not end the call about the next one.
+    stores[0].end_call(&call, &CallEnd::Delivered).await.unwrap();
+    assert_eq!(dies_on(&stores[0], "x").await.lost, 1, "what was lost before does not count");
+    stores[0].cancel("a").await.unwrap();
+    let next = stores[0].take_calls(9, Duration::from_hours(1)).await.unwrap();
+    let told: Vec<_> = next.iter().map(|next| (&*next.job.id, next.attempt)).collect();
+    assert!(told == [("a", 1)] && next[0].id != call.id, "{told:?}");
+    assert_eq!(stores[0].retry("a", &room).await.unwrap().0.state, State::Queued);
+    let (_, lease) = claim(&stores[0], "w").await.unwrap();
+    stores[0].cancel("a").await.unwrap();
+    assert!(matches!(stores[0].retry("a", &room).await, Err(Error::Illegal { .. })));
+    stores[0].complete(&lease, &Outcome::Cancelled, 3).await.unwrap();
+    stores[0].retry("a", &room).await.unwrap();
+    let (job, lease) = claim(&stores[0], "w").await.unwrap();
+    assert!(!job.cancel_requested && job.attempt == 6);
+    stores[0].complete(&lease, &Outcome::Succeeded(vec![]), 3).await.unwrap();
+    let refused = stores[1].retry("a", &room).await.unwrap_err();
+    assert!(refused.to_string().contains("submit it again"), "{refused}");
 }
 
 fn to_be_told() -> NewJob {

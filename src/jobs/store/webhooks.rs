@@ -74,10 +74,9 @@ impl Store {
             }
             CallEnd::GivenUp(why) => (why.as_str(), None),
         };
-        let update =
-            "UPDATE webhooks SET outcome = $1, next_ms = $2 WHERE job = $3 AND attempts = $4";
+        let update = "UPDATE webhooks SET outcome = $1, next_ms = $2 WHERE job = $3 AND attempts = $4 AND id = $5";
         let update = sqlx::query(update).bind(storable(outcome)).bind(next_ms);
-        let update = update.bind(&call.job.id).bind(i64::from(call.attempt));
+        let update = update.bind(&call.job.id).bind(i64::from(call.attempt)).bind(&call.id);
         update.execute(&mut *tx).await?;
         tx.commit().await?;
         Ok(())
@@ -92,6 +91,15 @@ pub(super) async fn note(tx: &mut Tx, new: &NewJob, job: &str) -> Result<()> {
         let insert = insert.bind(job).bind(id).bind(storable(&new.webhook));
         insert.execute(&mut **tx).await?;
     }
+    Ok(())
+}
+
+/// The job begins anew: its next end is another one, to be told of by a call of another name.
+pub(super) async fn renew(tx: &mut Tx, job: &str) -> Result<()> {
+    let update =
+        "UPDATE webhooks SET id = $1, next_ms = NULL, attempts = 0, outcome = '' WHERE job = $2";
+    let id = uuid::Uuid::new_v4().to_string();
+    sqlx::query(update).bind(id).bind(job).execute(&mut **tx).await?;
     Ok(())
 }
 

@@ -36,6 +36,7 @@ enum Step {
     Release(usize),
     Cancel(usize),
     Delete(usize),
+    Retry(usize),
 }
 
 fn step() -> impl Strategy<Value = Step> {
@@ -49,6 +50,7 @@ fn step() -> impl Strategy<Value = Step> {
         with(Step::Release),
         with(Step::Cancel),
         with(Step::Delete),
+        with(Step::Retry),
     ]
 }
 
@@ -103,6 +105,7 @@ impl Walk {
                 self.lose(w, false);
             }
             Step::Cancel(i) => self.cancel(i).await,
+            Step::Retry(i) => self.retry(i).await,
             Step::Delete(i) => {
                 let Some(id) = self.model.keys().nth(i).cloned() else { return };
                 let legal = self.model[&id].state.is_final();
@@ -157,6 +160,20 @@ impl Walk {
         job.cancel |= legal;
         if job.state == State::Queued {
             job.state = State::Cancelled;
+        }
+    }
+
+    async fn retry(&mut self, i: usize) {
+        let Some((id, job)) = self.model.iter_mut().nth(i) else { return };
+        let legal = match job.state {
+            State::Succeeded => false,
+            State::Running => !job.cancel,
+            _ => true,
+        };
+        assert_eq!(self.jobs.retry(id).await.is_ok(), legal);
+        if legal && matches!(job.state, State::Failed | State::Cancelled) {
+            (job.state, job.cancel) = (State::Queued, false);
+            job.losers.clear();
         }
     }
 

@@ -52,6 +52,7 @@ const METHODS: &[Method] = &[
     row("/lookalike.v1.LookalikeService/ListJobs",          READ,  Audit::No,    false),
     row("/lookalike.v1.LookalikeService/WatchJob",          READ,  Audit::No,    true),
     row("/lookalike.v1.LookalikeService/CancelJob",         WRITE, Audit::Yes,   false),
+    row("/lookalike.v1.LookalikeService/RetryJob",          WRITE, Audit::Yes,   false),
     row("/lookalike.v1.LookalikeService/PinJob",            WRITE, Audit::Yes,   false),
     row("/lookalike.v1.LookalikeService/DeleteJob",         WRITE, Audit::Yes,   false),
     row("/lookalike.v1.LookalikeService/ListArtifacts",     READ,  Audit::No,    false),
@@ -98,7 +99,7 @@ mod tests {
                 paths.extend(service.method.iter().map(path));
             }
         }
-        assert_eq!(paths.len(), 20, "{paths:?}");
+        assert_eq!(paths.len(), 21, "{paths:?}");
         for path in paths {
             assert!(matches!(method(&path).need, Need::May(_)), "{path} has no row");
         }
