@@ -176,6 +176,9 @@ const PASSING: [&str; 14] = [
     "5", "261", "517", "773",
 ];
 
+/// What it says when a transaction lost against another one: serialization failure, deadlock; a snapshot too old.
+const LOST: [&str; 3] = ["40001", "40P01", "517"];
+
 impl Error {
     /// Nothing is wrong with the request: the same may work in a moment.
     pub fn is_passing(&self) -> bool {
@@ -186,6 +189,16 @@ impl Error {
             Self::Sql(sqlx::Error::Database(error)) => {
                 // Class 08: the connection.
                 error.code().is_some_and(|code| PASSING.contains(&&*code) || code.starts_with("08"))
+            }
+            _ => false,
+        }
+    }
+
+    /// A transaction lost against another one, and nothing of it has happened.
+    pub fn has_lost(&self) -> bool {
+        match self {
+            Self::Sql(sqlx::Error::Database(error)) => {
+                error.code().is_some_and(|code| LOST.contains(&&*code))
             }
             _ => false,
         }

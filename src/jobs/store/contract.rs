@@ -70,6 +70,8 @@ in_homes! { [on_sqlite on_postgres] [
     jobs_of_higher_priority_get_the_workers_of_lower_ones,
     a_drained_host_hands_its_job_back_and_gets_no_other,
     a_retry_queues_what_did_not_succeed_anew,
+    what_is_refused_holds_no_row,
+    transactions_that_lose_are_tried_again,
     results_go_when_their_time_is_up_unless_pinned,
     webhooks_are_due_with_the_end_and_taken_once,
     webhooks_go_with_their_job_and_nobody_is_called_unasked,
@@ -628,6 +630,46 @@ async fn a_retry_queues_what_did_not_succeed_anew(home: Home) {
     stores[0].complete(&lease, &Outcome::Succeeded(vec![]), 3).await.unwrap();
     let refused = stores[1].retry("a", &room).await.unwrap_err();
     assert!(refused.to_string().contains("submit it again"), "{refused}");
+}
+
+async fn what_is_refused_holds_no_row(home: Home) {
+    let stores: [Store; 2] = home.servers().await;
+    create(&stores[0], "a", 1).await;
+    let (_, mut stale) = claim(&stores[0], "w0").await.unwrap();
+    for i in 1..40 {
+        let handed_back = Outcome::Released(String::new());
+        stores[0].complete(&stale, &handed_back, 3).await.unwrap();
+        let refused = stores[i % 2].complete(&stale, &handed_back, 3).await;
+        assert!(matches!(refused, Err(Error::Stale { .. })));
+        // A claim skips rows that are locked.
+        let (_, lease) = claim(&stores[(i + 1) % 2], &format!("w{i}")).await.unwrap();
+        assert!(matches!(stores[0].cancel("none").await, Err(Error::NotFound(_))));
+        stale = lease;
+    }
+}
+
+async fn transactions_that_lose_are_tried_again(home: Home) {
+    let stores: [Store; 2] = home.servers().await;
+    create(&stores[0], "a", 2).await;
+    // They lock the same jobs, each in its own order.
+    let rename = async |store: &Store, ids: [&str; 2]| {
+        transaction!(store, tx, {
+            for id in ids {
+                find_to_write(&mut tx, id).await?;
+                tokio::time::sleep(Duration::from_millis(200)).await;
+                let update = sqlx::query("UPDATE jobs SET lost = lost + 1 WHERE id = $1");
+                update.bind(id).execute(&mut *tx).await?;
+            }
+            Ok(())
+        })
+    };
+    let (one, two) =
+        tokio::join!(rename(&stores[0], ["a0", "a1"]), rename(&stores[1], ["a1", "a0"]));
+    one.unwrap();
+    two.unwrap();
+    for id in ["a0", "a1"] {
+        assert_eq!(stores[0].job(id).await.unwrap().lost, 2, "each has written once");
+    }
 }
 
 fn to_be_told() -> NewJob {

@@ -79,37 +79,37 @@ impl Store {
 
     /// Forgets hosts that have long been gone.
     pub async fn forget_workers(&self) -> Result<()> {
-        let mut tx = self.begin().await?;
-        let now = now_ms(&mut tx).await?;
-        let delete = "DELETE FROM workers WHERE seen_ms < $1 AND drained = 0 \
-                      AND quarantined_until_ms <= $2";
-        let delete = sqlx::query(delete).bind(now - STAYS.as_millis() as i64).bind(now);
-        delete.execute(&mut *tx).await?;
-        tx.commit().await?;
-        Ok(())
+        transaction!(self, tx, {
+            let now = now_ms(&mut tx).await?;
+            let delete = "DELETE FROM workers WHERE seen_ms < $1 AND drained = 0 \
+                          AND quarantined_until_ms <= $2";
+            let delete = sqlx::query(delete).bind(now - STAYS.as_millis() as i64).bind(now);
+            delete.execute(&mut *tx).await?;
+            Ok(())
+        })
     }
 
     /// A host is to work no more, until somebody reinstates it.
     pub async fn drain(&self, host: &str) -> Result<Worker> {
-        let mut tx = self.begin().await?;
-        let now = now_ms(&mut tx).await?;
-        let update = sqlx::query("UPDATE workers SET drained = 1 WHERE host = $1");
-        update.bind(host).execute(&mut *tx).await?;
-        let worker = find(&mut tx, host, now).await?;
-        tx.commit().await?;
-        worker.ok_or_else(|| Error::NotFound(format!("workers/{host}")))
+        transaction!(self, tx, {
+            let now = now_ms(&mut tx).await?;
+            let update = sqlx::query("UPDATE workers SET drained = 1 WHERE host = $1");
+            update.bind(host).execute(&mut *tx).await?;
+            let worker = find(&mut tx, host, now).await?;
+            worker.ok_or_else(|| Error::NotFound(format!("workers/{host}")))
+        })
     }
 
     /// Somebody vouches for a host: what it has lost so far does not speak against it any more.
     pub async fn reinstate(&self, host: &str) -> Result<Worker> {
-        let mut tx = self.begin().await?;
-        let now = now_ms(&mut tx).await?;
-        let update = "UPDATE workers SET drained = 0, quarantined_until_ms = 0, why = '', sound_ms = $1 \
-                      WHERE host = $2";
-        sqlx::query(update).bind(now).bind(host).execute(&mut *tx).await?;
-        let worker = find(&mut tx, host, now).await?;
-        tx.commit().await?;
-        worker.ok_or_else(|| Error::NotFound(format!("workers/{host}")))
+        transaction!(self, tx, {
+            let now = now_ms(&mut tx).await?;
+            let update = "UPDATE workers SET drained = 0, quarantined_until_ms = 0, why = '', sound_ms = $1 \
+                          WHERE host = $2";
+            sqlx::query(update).bind(now).bind(host).execute(&mut *tx).await?;
+            let worker = find(&mut tx, host, now).await?;
+            worker.ok_or_else(|| Error::NotFound(format!("workers/{host}")))
+        })
     }
 }
 

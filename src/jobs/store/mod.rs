@@ -10,8 +10,13 @@
 //! 5. Every write for a worker is conditional on its lease (`workers.rs`).
 //! 6. Jobs are created one at a time, also by several servers: their numbers are committed in order,
 //!    so that pages neither repeat nor skip, and caps on the queue are exact.
+//! 7. What is refused is rolled back when the refusal is heard of, and what lost against another transaction is tried
+//!    again (`transaction.rs`).
 //!
 //! Knows nothing of objects, or of who asks.
+
+#[macro_use]
+mod transaction;
 
 mod attempts;
 mod clients;

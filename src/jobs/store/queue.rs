@@ -29,29 +29,29 @@ impl Store {
         if n_waiting == 0 {
             return Ok(Vec::new());
         }
-        let mut tx = self.begin().await?;
-        only(&mut tx, Exclusive::Preempt).await?;
-        let waiting = waiting(&mut tx, before).await?;
-        let query = "SELECT count(*) FROM jobs WHERE state = 'RUNNING' AND preempt = 1";
-        let n_asked: i64 = sqlx::query_scalar(query).fetch_one(&mut *tx).await?;
-        // Those that make room already do so for the highest of them.
-        let waiting = waiting.into_iter().skip(n_asked as usize);
-        let query = "SELECT * FROM jobs WHERE state = 'RUNNING' AND preempt = 0 \
-                     AND cancel_requested = 0 ORDER BY priority, started_ms DESC, n DESC LIMIT $1 \
-                     /*pg FOR UPDATE SKIP LOCKED */";
-        let rows = sqlx::query(sql(&tx, query)).bind(AT_ONCE).fetch_all(&mut *tx).await?;
-        let mut asked = Vec::new();
-        for (priority, row) in waiting.zip(&rows) {
-            let job = job_of(row)?;
-            if i64::from(job.priority) >= priority {
-                break;
+        transaction!(self, tx, {
+            only(&mut tx, Exclusive::Preempt).await?;
+            let waiting = waiting(&mut tx, before).await?;
+            let query = "SELECT count(*) FROM jobs WHERE state = 'RUNNING' AND preempt = 1";
+            let n_asked: i64 = sqlx::query_scalar(query).fetch_one(&mut *tx).await?;
+            // Those that make room already do so for the highest of them.
+            let waiting = waiting.into_iter().skip(n_asked as usize);
+            let query = "SELECT * FROM jobs WHERE state = 'RUNNING' AND preempt = 0 \
+                         AND cancel_requested = 0 ORDER BY priority, started_ms DESC, n DESC LIMIT $1 \
+                         /*pg FOR UPDATE SKIP LOCKED */";
+            let rows = sqlx::query(sql(&tx, query)).bind(AT_ONCE).fetch_all(&mut *tx).await?;
+            let mut asked = Vec::new();
+            for (priority, row) in waiting.zip(&rows) {
+                let job = job_of(row)?;
+                if i64::from(job.priority) >= priority {
+                    break;
+                }
+                let update = sqlx::query("UPDATE jobs SET preempt = 1 WHERE id = $1").bind(&job.id);
+                update.execute(&mut *tx).await?;
+                asked.push(job);
             }
-            let update = sqlx::query("UPDATE jobs SET preempt = 1 WHERE id = $1").bind(&job.id);
-            update.execute(&mut *tx).await?;
-            asked.push(job);
-        }
-        tx.commit().await?;
-        Ok(asked)
+            Ok(asked)
+        })
     }
 }
 

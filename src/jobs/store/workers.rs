@@ -46,32 +46,33 @@ impl Store {
     /// out of service.
     pub async fn claim(&self, who: impl Into<Claimant>, terms: &Terms) -> Result<Option<Job>> {
         let who = who.into();
-        let mut tx = self.begin().await?;
-        lose_all_of(&mut tx, &who.worker, Loss::Abandoned, terms.max_lost).await?;
-        let now = now_ms(&mut tx).await?;
-        if let Some(refusal) = fleet::check_in(&mut tx, &who, terms, now).await? {
-            tx.commit().await?;
-            return Err(refusal);
-        }
-        let job = match queue::next(&mut tx, &who, terms, now).await? {
-            Some(job) => Some(start(&mut tx, job, &who, terms).await?),
-            None => None,
-        };
-        tx.commit().await?;
-        Ok(job)
+        let claimed = transaction!(self, tx, {
+            lose_all_of(&mut tx, &who.worker, Loss::Abandoned, terms.max_lost).await?;
+            let now = now_ms(&mut tx).await?;
+            if let Some(refusal) = fleet::check_in(&mut tx, &who, terms, now).await? {
+                // What has been found out about the host stays.
+                return Ok(Err(refusal));
+            }
+            let job = match queue::next(&mut tx, &who, terms, now).await? {
+                Some(job) => Some(start(&mut tx, job, &who, terms).await?),
+                None => None,
+            };
+            Ok(Ok(job))
+        });
+        claimed?
     }
 
     /// Extends a lease; what the worker should do.
     pub async fn heartbeat(&self, lease: &Lease, terms: &Terms) -> Result<Orders> {
-        let mut tx = self.begin().await?;
-        let job = held_to_write(&mut tx, lease).await?;
-        let now = now_ms(&mut tx).await?;
-        let until = now + terms.lease.as_millis() as i64;
-        let update = sqlx::query("UPDATE jobs SET lease_until_ms = $1 WHERE id = $2");
-        update.bind(until).bind(&lease.job).execute(&mut *tx).await?;
-        let drain = fleet::seen(&mut tx, &job, terms, now).await?;
-        tx.commit().await?;
-        Ok(Orders { drain, ..job.orders() })
+        transaction!(self, tx, {
+            let job = held_to_write(&mut tx, lease).await?;
+            let now = now_ms(&mut tx).await?;
+            let until = now + terms.lease.as_millis() as i64;
+            let update = sqlx::query("UPDATE jobs SET lease_until_ms = $1 WHERE id = $2");
+            update.bind(until).bind(&lease.job).execute(&mut *tx).await?;
+            let drain = fleet::seen(&mut tx, &job, terms, now).await?;
+            Ok(Orders { drain, ..job.orders() })
+        })
     }
 
     /// The job, if the lease is good at this moment.
@@ -87,70 +88,71 @@ impl Store {
         first: u64,
         entries: &[(Body, Option<SegmentRange>)],
     ) -> Result<Appended> {
-        let mut tx = self.begin().await?;
-        let mut job = held_to_write(&mut tx, lease).await?;
-        let held = job.appended;
-        let skip = held.checked_sub(first).ok_or(Error::Gap { first, held })?;
-        let entries = entries.get(skip as usize..).unwrap_or_default();
-        if !entries.is_empty() {
-            let now = now_ms(&mut tx).await?;
-            log(&mut tx, &mut job, now, entries).await?;
-            job.appended += entries.len() as u64;
-            note_progress(&mut job, entries);
-            let update = "UPDATE jobs SET appended = $1, stage = $2, fraction = $3 WHERE id = $4";
-            let update = sqlx::query(update).bind(job.appended as i64).bind(&job.stage);
-            update.bind(job.fraction).bind(&job.id).execute(&mut *tx).await?;
-            tx.commit().await?;
-        }
-        Ok(Appended { held: job.appended, orders: job.orders() })
+        transaction!(self, tx, {
+            let mut job = held_to_write(&mut tx, lease).await?;
+            let held = job.appended;
+            let skip = held.checked_sub(first).ok_or(Error::Gap { first, held })?;
+            let entries = entries.get(skip as usize..).unwrap_or_default();
+            if !entries.is_empty() {
+                let now = now_ms(&mut tx).await?;
+                log(&mut tx, &mut job, now, entries).await?;
+                job.appended += entries.len() as u64;
+                note_progress(&mut job, entries);
+                let update =
+                    "UPDATE jobs SET appended = $1, stage = $2, fraction = $3 WHERE id = $4";
+                let update = sqlx::query(update).bind(job.appended as i64).bind(&job.stage);
+                update.bind(job.fraction).bind(&job.id).execute(&mut *tx).await?;
+            }
+            Ok(Appended { held: job.appended, orders: job.orders() })
+        })
     }
 
     /// Notes that a file of the result is stored.
     pub async fn add_artifact(&self, lease: &Lease, artifact: &Artifact) -> Result<()> {
-        let mut tx = self.begin().await?;
-        held_to_write(&mut tx, lease).await?;
-        let insert = "INSERT INTO artifacts VALUES ($1, $2, $3, $4, $5, $6) \
-                      ON CONFLICT (job, epoch, file) DO UPDATE SET \
-                      media_type = excluded.media_type, size = excluded.size, \
-                      blake3 = excluded.blake3";
-        let insert =
-            sqlx::query(insert).bind(&lease.job).bind(lease.epoch as i64).bind(&artifact.file);
-        let insert = insert.bind(storable(&artifact.media_type)).bind(artifact.size as i64);
-        insert.bind(&artifact.blake3).execute(&mut *tx).await?;
-        tx.commit().await?;
-        Ok(())
+        transaction!(self, tx, {
+            held_to_write(&mut tx, lease).await?;
+            let insert = "INSERT INTO artifacts VALUES ($1, $2, $3, $4, $5, $6) \
+                          ON CONFLICT (job, epoch, file) DO UPDATE SET \
+                          media_type = excluded.media_type, size = excluded.size, \
+                          blake3 = excluded.blake3";
+            let insert =
+                sqlx::query(insert).bind(&lease.job).bind(lease.epoch as i64).bind(&artifact.file);
+            let insert = insert.bind(storable(&artifact.media_type)).bind(artifact.size as i64);
+            insert.bind(&artifact.blake3).execute(&mut *tx).await?;
+            Ok(())
+        })
     }
 
     /// Ends the attempt. A repetition of the call that ended the job is accepted.
     pub async fn complete(&self, lease: &Lease, outcome: &Outcome, max_lost: u32) -> Result<Job> {
-        let mut tx = self.begin().await?;
-        if let Some(job) = repeated(&mut tx, lease, outcome).await? {
-            return Ok(job);
-        }
-        let job = held_to_write(&mut tx, lease).await?;
-        let job = match outcome {
-            Outcome::Succeeded(files) => succeed(&mut tx, job, files).await?,
-            Outcome::Failed(reason, text) => {
-                end(&mut tx, job, Trigger::Fail, reason, text.clone()).await?
+        transaction!(self, tx, {
+            if let Some(job) = repeated(&mut tx, lease, outcome).await? {
+                return Ok(job);
             }
-            Outcome::Cancelled if !job.cancel_requested => {
-                let remedy = "nobody asked to cancel it: complete it in another way";
-                return Err(Error::Illegal { job: job.name(), state: job.state, remedy });
-            }
-            Outcome::Cancelled => {
-                let text = "cancelled on request".into();
-                end(&mut tx, job, Trigger::Cancel, "CANCELLED", text).await?
-            }
-            Outcome::AttemptFailed(text) => {
-                lose(&mut tx, job, Loss::AttemptFailed, text, max_lost).await?
-            }
-            Outcome::Released(text) => {
-                let loss = if job.preempt { Loss::Preempted } else { Loss::Released };
-                lose(&mut tx, job, loss, text, max_lost).await?
-            }
-        };
-        tx.commit().await?;
-        Ok(job)
+            let job = held_to_write(&mut tx, lease).await?;
+            let job = match outcome {
+                Outcome::Succeeded(files) => succeed(&mut tx, job, files).await?,
+                Outcome::Failed(reason, text) => {
+                    end(&mut tx, job, Trigger::Fail, reason, text.clone()).await?
+                }
+                Outcome::Cancelled if !job.cancel_requested => {
+                    let remedy = "nobody asked to cancel it: complete it in another way";
+                    return Err(Error::Illegal { job: job.name(), state: job.state, remedy });
+                }
+                Outcome::Cancelled => {
+                    let text = "cancelled on request".into();
+                    end(&mut tx, job, Trigger::Cancel, "CANCELLED", text).await?
+                }
+                Outcome::AttemptFailed(text) => {
+                    lose(&mut tx, job, Loss::AttemptFailed, text, max_lost).await?
+                }
+                Outcome::Released(text) => {
+                    let loss = if job.preempt { Loss::Preempted } else { Loss::Released };
+                    lose(&mut tx, job, loss, text, max_lost).await?
+                }
+            };
+            Ok(job)
+        })
     }
 
     /// Takes away every lease that ran out; the jobs concerned, as they are then.
@@ -160,25 +162,25 @@ impl Store {
         if sqlx::query_scalar::<_, i64>(query).bind(now).fetch_one(&self.readers).await? == 0 {
             return Ok(Vec::new());
         }
-        let mut tx = self.begin().await?;
-        // Another server may be about the same: what it has locked is its own.
-        let query = "SELECT * FROM jobs WHERE state = 'RUNNING' AND lease_until_ms < $1 ORDER BY n \
-                     /*pg FOR UPDATE SKIP LOCKED */";
-        let rows = sqlx::query(sql(&tx, query)).bind(now).fetch_all(&mut *tx).await?;
-        let mut jobs = Vec::with_capacity(rows.len());
-        for row in &rows {
-            jobs.push(lose(&mut tx, job_of(row)?, Loss::LeaseExpired, "", max_lost).await?);
-        }
-        tx.commit().await?;
-        Ok(jobs)
+        transaction!(self, tx, {
+            // Another server may be about the same: what it has locked is its own.
+            let query = "SELECT * FROM jobs WHERE state = 'RUNNING' AND lease_until_ms < $1 ORDER BY n \
+                         /*pg FOR UPDATE SKIP LOCKED */";
+            let rows = sqlx::query(sql(&tx, query)).bind(now).fetch_all(&mut *tx).await?;
+            let mut jobs = Vec::with_capacity(rows.len());
+            for row in &rows {
+                jobs.push(lose(&mut tx, job_of(row)?, Loss::LeaseExpired, "", max_lost).await?);
+            }
+            Ok(jobs)
+        })
     }
 
     /// Takes away whatever `worker` holds; the jobs concerned, as they are then.
     pub async fn lose_worker(&self, worker: &str, loss: Loss, max_lost: u32) -> Result<Vec<Job>> {
-        let mut tx = self.begin().await?;
-        let jobs = lose_all_of(&mut tx, worker, loss, max_lost).await?;
-        tx.commit().await?;
-        Ok(jobs)
+        transaction!(self, tx, {
+            let jobs = lose_all_of(&mut tx, worker, loss, max_lost).await?;
+            Ok(jobs)
+        })
     }
 
     /// The workers that hold a lease.
@@ -189,12 +191,13 @@ impl Store {
 
     /// Extends what `worker` holds, as if it had been heard of: for the time nobody could hear it.
     pub async fn renew(&self, worker: &str, terms: &Terms) -> Result<()> {
-        let mut tx = self.begin().await?;
-        let until = now_ms(&mut tx).await? + terms.lease.as_millis() as i64;
-        let update = "UPDATE jobs SET lease_until_ms = $1 WHERE state = 'RUNNING' AND worker = $2";
-        sqlx::query(update).bind(until).bind(worker).execute(&mut *tx).await?;
-        tx.commit().await?;
-        Ok(())
+        transaction!(self, tx, {
+            let until = now_ms(&mut tx).await? + terms.lease.as_millis() as i64;
+            let update =
+                "UPDATE jobs SET lease_until_ms = $1 WHERE state = 'RUNNING' AND worker = $2";
+            sqlx::query(update).bind(until).bind(worker).execute(&mut *tx).await?;
+            Ok(())
+        })
     }
 }
 
