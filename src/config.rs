@@ -55,6 +55,9 @@ pub(crate) struct ServeArgs {
     /// Seconds between a worker's signs of life; at most half the lease.
     #[arg(long, env = "LOOKALIKE_HEARTBEAT_SECS", default_value_t = 10.0, value_name = "SECS")]
     pub(crate) heartbeat_secs: f64,
+    /// Seconds of work between checkpoints, which is what a job whose worker is lost has to do again; 0 for none.
+    #[arg(long, env = "LOOKALIKE_CHECKPOINT_SECS", default_value_t = 10.0, value_name = "SECS")]
+    pub(crate) checkpoint_secs: f64,
     /// A job fails as POISONED when this many workers have lost it.
     #[arg(long, env = "LOOKALIKE_MAX_ATTEMPTS", default_value_t = 3, value_name = "N")]
     pub(crate) max_attempts: u32,
@@ -166,6 +169,10 @@ impl ServeArgs {
         let lease = seconds(&mut faults, "--lease-secs", self.lease_secs);
         let heartbeat = seconds(&mut faults, "--heartbeat-secs", self.heartbeat_secs);
         let drain = seconds(&mut faults, "--drain-secs", self.drain_secs);
+        let checkpoint = match self.checkpoint_secs {
+            0.0 => Duration::ZERO,
+            secs => seconds(&mut faults, "--checkpoint-secs", secs),
+        };
         if heartbeat * 2 > lease {
             let text = "a lease must outlive one missed sign of life";
             faults.push(format!("--heartbeat-secs is more than half of --lease-secs: {text}"));
@@ -197,6 +204,7 @@ impl ServeArgs {
                 max_in_a_row: self.max_in_a_row,
                 quarantine,
                 preempt_after,
+                checkpoint,
             },
             limits: Limits {
                 max_mesh_bytes: self.max_mesh_mib.saturating_mul(1 << 20),

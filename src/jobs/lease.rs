@@ -38,6 +38,8 @@ pub struct Terms {
     pub quarantine: Duration,
     /// A job that has waited so long gets the worker of one of lower priority.
     pub preempt_after: Duration,
+    /// How often workers are told to leave a checkpoint; never where it is zero.
+    pub checkpoint: Duration,
 }
 
 impl Default for Terms {
@@ -49,6 +51,7 @@ impl Default for Terms {
             max_in_a_row: 3,
             quarantine: Duration::from_mins(10),
             preempt_after: Duration::from_secs(5),
+            checkpoint: Duration::from_secs(10),
         }
     }
 }

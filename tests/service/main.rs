@@ -22,6 +22,7 @@ mod panics;
 mod postgres;
 mod processes;
 mod queue;
+mod resuming;
 #[path = "../stores/s3.rs"]
 mod s3;
 mod settings;

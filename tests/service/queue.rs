@@ -11,6 +11,7 @@ use std::{
 use lookalike::{
     jobs::{event::Report, spec::Spec, state::State},
     service::{client::Access, proto::v1},
+    tape::Tape,
     worker::{
         agent::{self, WorkerConfig, WorkerError},
         pipeline::{DeviceChoice, Inputs, PipelineError},
@@ -72,7 +73,7 @@ fn breaks(
     _: &Spec,
     _: &Inputs<'_>,
     _: &Path,
-    _: &DeviceChoice,
+    _: (&DeviceChoice, &Tape),
     _: &mut dyn FnMut(Report) -> ControlFlow<()>,
 ) -> Result<(), PipelineError> {
     panic!("the device is gone")
@@ -126,7 +127,8 @@ async fn a_bad_worker_is_taken_out_of_service_and_its_jobs_are_done_elsewhere() 
 
 #[tokio::test]
 async fn a_drained_worker_hands_its_job_back_until_it_is_reinstated() {
-    let server = Server::start_with(&["--workers=0", "--lease-secs=30", "--heartbeat-secs=0.1"]);
+    let server =
+        Server::start_with(&["--workers=0", "--checkpoint-secs=0", "--heartbeat-secs=0.1"]);
     let mut client = server.client();
     let first = worker(&server, "first");
     let name = create_long(&mut client, &server, 0).await;
@@ -197,7 +199,7 @@ fn goes_on(
     _: &Spec,
     _: &Inputs<'_>,
     _: &Path,
-    _: &DeviceChoice,
+    _: (&DeviceChoice, &Tape),
     on: &mut dyn FnMut(Report) -> ControlFlow<()>,
 ) -> Result<(), PipelineError> {
     let _ = on(Report::Note { code: "DEAF".into(), text: "nobody stops me".into() });
@@ -233,7 +235,8 @@ async fn a_pipeline_that_does_not_stop_loses_its_job_and_its_process() {
 
 #[tokio::test]
 async fn a_job_of_high_priority_gets_the_worker_of_one_of_low_priority() {
-    let flags = ["--workers=1", "--heartbeat-secs=0.1", "--preempt-after-secs=0.2"];
+    let flags =
+        ["--workers=1", "--heartbeat-secs=0.1", "--preempt-after-secs=0.2", "--checkpoint-secs=0"];
     let server = Server::start_with(&flags);
     let mut client = server.client();
     let low = create_long(&mut client, &server, -3).await;

@@ -5,8 +5,9 @@ use std::time::Duration;
 use sqlx::{AssertSqlSafe, Row, any::AnyRow};
 
 use super::{
-    Artifact, Body, Exclusive, Job, State, Store, StoredEvent, Tx, event_of, find, find_to_write,
-    job_of, log, now_ms, only, owners, places, sql, state_entry, storable, stored, webhooks,
+    Artifact, Body, Exclusive, Job, State, Store, StoredEvent, Tx, checkpoints, event_of, find,
+    find_to_write, job_of, log, now_ms, only, owners, places, sql, state_entry, storable, stored,
+    webhooks,
 };
 use crate::jobs::{
     Limits,
@@ -308,6 +309,7 @@ async fn renew(tx: &mut Tx, job: &mut Job) -> Result<()> {
     {
         sqlx::query(forget).bind(&job.id).execute(&mut **tx).await?;
     }
+    checkpoints::forget(tx, &job.id).await?;
     webhooks::renew(tx, &job.id).await?;
     let mut renewed = find(tx, &job.id).await?;
     let text = "queued anew on request";

@@ -166,6 +166,7 @@ impl Dialect {
             (3, "objects", include_str!("../migrations/0003_objects.sql")),
             (10, "webhooks", include_str!("../migrations/0010_webhooks.sql")),
             (11, "results", include_str!("../migrations/0011_results.sql")),
+            (12, "checkpoints", include_str!("../migrations/0012_checkpoints.sql")),
             (13, "attempts", include_str!("../migrations/0013_attempts.sql")),
             (14, "queue", include_str!("../migrations/0014_queue.sql")),
         ];

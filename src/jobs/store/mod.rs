@@ -1,5 +1,5 @@
-//! The job database, SQLite or PostgreSQL (`dialect.rs`), and all of its SQL (here, in `clients.rs`,
-//! `attempts.rs`, `expiry.rs`, `fleet.rs`, `owners.rs`, `queue.rs`, `webhooks.rs` and `workers.rs`).
+//! The job database, SQLite or PostgreSQL (`dialect.rs`), and all of its SQL (here, in `attempts.rs`, `checkpoints.rs`,
+//! `clients.rs`, `expiry.rs`, `fleet.rs`, `owners.rs`, `queue.rs`, `webhooks.rs` and `workers.rs`).
 //!
 //! 1. A transaction that reads before it writes locks first what it reads: SQLite by BEGIN IMMEDIATE (a
 //!    deferred one that upgrades is refused with SQLITE_BUSY whatever the busy timeout), PostgreSQL
@@ -19,6 +19,7 @@
 mod transaction;
 
 mod attempts;
+mod checkpoints;
 mod clients;
 mod dialect;
 mod expiry;
@@ -46,6 +47,7 @@ use super::{
 };
 
 pub use attempts::Attempt;
+pub use checkpoints::{Piece, RESUMED};
 pub use clients::{MeshLock, NewJob};
 pub use dialect::Address;
 pub use fleet::{Service, Worker};

@@ -335,10 +335,7 @@ impl Evaluator for Device {
     }
 
     fn commit(&mut self, scene: &mut Scene, mv: &Move) -> Result<i64, RenderError> {
-        let n_slots = mv.added.iter().map(|a| a.face as usize + 1).max().unwrap_or(0);
-        if n_slots > scene.faces.len() {
-            scene.faces.resize(n_slots, None);
-        }
+        scene.make_room(mv);
         let Made { delta, used } = self.make(scene, mv)?;
         used.check_depth()?;
         scene.apply(mv);

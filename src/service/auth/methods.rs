@@ -65,6 +65,8 @@ const METHODS: &[Method] = &[
     row("/lookalike.worker.v1.WorkerService/FetchMesh",     WORK,  Audit::No,    false),
     row("/lookalike.worker.v1.WorkerService/AppendEvents",  WORK,  Audit::No,    false),
     row("/lookalike.worker.v1.WorkerService/PutArtifact",   WORK,  Audit::No,    false),
+    row("/lookalike.worker.v1.WorkerService/PutCheckpoint",   WORK, Audit::No,  false),
+    row("/lookalike.worker.v1.WorkerService/FetchCheckpoint", WORK, Audit::No,  false),
     row("/lookalike.worker.v1.WorkerService/Complete",      WORK,  Audit::Yes,   false),
     row("/lookalike.worker.v1.WorkerService/Leave",         WORK,  Audit::No,    false),
     row("/grpc.health.v1.Health/Check",                     Need::Nothing, Audit::No, false),
@@ -99,7 +101,7 @@ mod tests {
                 paths.extend(service.method.iter().map(path));
             }
         }
-        assert_eq!(paths.len(), 21, "{paths:?}");
+        assert_eq!(paths.len(), 23, "{paths:?}");
         for path in paths {
             assert!(matches!(method(&path).need, Need::May(_)), "{path} has no row");
         }
