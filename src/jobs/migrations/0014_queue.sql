@@ -9,9 +9,12 @@ ALTER TABLE jobs ADD COLUMN preempt INTEGER NOT NULL DEFAULT 0;
 
 UPDATE jobs SET queued_ms = created_ms;
 
-CREATE INDEX jobs_waiting ON jobs (priority, owner, n) WHERE state = 'QUEUED';
+CREATE INDEX jobs_waiting ON jobs (state, priority, owner, n);
 
-CREATE INDEX jobs_running ON jobs (owner, priority) WHERE state = 'RUNNING';
+-- Jobs that were lost, few of them.
+CREATE INDEX jobs_lost ON jobs (state, lost) WHERE lost > 0;
+
+CREATE INDEX jobs_of_owner ON jobs (state, owner);
 
 -- What owners have had of the workers' time: a logarithm (store/queue.rs).
 CREATE TABLE shares (

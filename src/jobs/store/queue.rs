@@ -70,25 +70,45 @@ pub(super) async fn next(
     terms: &Terms,
     now: i64,
 ) -> Result<Option<Job>> {
-    for suits in [fleet::UNSHUNNED, fleet::NOBODY_ELSE_S] {
-        let mut below = i64::MAX;
-        while let Some(priority) = highest(tx, below).await? {
-            for owner in by_share(tx, priority).await? {
-                let query = format!(
-                    "SELECT * FROM jobs WHERE state = 'QUEUED' AND priority = $5 AND owner = $6 \
-                     AND $3 > $4 AND {suits} ORDER BY n LIMIT 1 /*pg FOR UPDATE SKIP LOCKED */"
-                );
-                let query = sqlx::query(sql(tx, &query)).bind(&who.host);
-                let query = query.bind(fleet::shunned_since(now)).bind(now);
-                let query = query.bind(fleet::alive_since(now, terms)).bind(priority).bind(owner);
-                if let Some(row) = query.fetch_optional(&mut **tx).await? {
-                    return Ok(Some(job_of(&row)?));
-                }
+    let mut below = i64::MAX;
+    while let Some(priority) = highest(tx, below).await? {
+        for owner in by_share(tx, priority).await? {
+            if let Some(job) = oldest(tx, who, (priority, &owner), now).await? {
+                return Ok(Some(job));
             }
-            below = priority;
         }
+        below = priority;
     }
-    Ok(None)
+    left_over(tx, who, terms, now).await
+}
+
+/// The oldest job of an owner and a priority that the host has not lost.
+async fn oldest(
+    tx: &mut Tx,
+    who: &Claimant,
+    (priority, owner): (i64, &str),
+    now: i64,
+) -> Result<Option<Job>> {
+    let query = format!(
+        "SELECT * FROM jobs WHERE state = 'QUEUED' AND priority = $3 AND owner BETWEEN $4 AND $4 \
+         AND {} ORDER BY owner, n LIMIT 1 /*pg FOR UPDATE SKIP LOCKED */",
+        fleet::UNSHUNNED
+    );
+    let query = sqlx::query(sql(tx, &query)).bind(&who.host).bind(fleet::shunned_since(now));
+    let row = query.bind(priority).bind(owner).fetch_optional(&mut **tx).await?;
+    row.as_ref().map(job_of).transpose()
+}
+
+/// A job that the host has lost, and that no other host could have instead.
+async fn left_over(tx: &mut Tx, who: &Claimant, terms: &Terms, now: i64) -> Result<Option<Job>> {
+    let query = format!(
+        "SELECT * FROM jobs WHERE state = 'QUEUED' AND {} ORDER BY priority DESC, n LIMIT 1 \
+         /*pg FOR UPDATE SKIP LOCKED */",
+        fleet::NOBODY_ELSE_S
+    );
+    let query = sqlx::query(sql(tx, &query)).bind(&who.host).bind(fleet::shunned_since(now));
+    let query = query.bind(now).bind(fleet::alive_since(now, terms));
+    query.fetch_optional(&mut **tx).await?.as_ref().map(job_of).transpose()
 }
 
 /// The highest priority below one.
@@ -98,17 +118,20 @@ async fn highest(tx: &mut Tx, below: i64) -> Result<Option<i64>> {
 }
 
 /// The owners of jobs that wait with this priority, in the order of their turns. From one owner the index leads to
-/// the next, past all jobs of the first.
+/// the next, past all jobs of the first. What is asked in the index's order, with a range for the owner, keeps PostgreSQL
+/// from looking through all jobs by number.
 const BY_SHARE: &str = "WITH RECURSIVE waiting (owner) AS ( \
-    SELECT min(owner) FROM jobs WHERE state = 'QUEUED' AND priority = $1 \
+    SELECT (SELECT owner FROM jobs WHERE state = 'QUEUED' AND priority = $1 ORDER BY owner LIMIT 1) \
     UNION ALL \
-    SELECT (SELECT min(jobs.owner) FROM jobs WHERE state = 'QUEUED' AND priority = $1 \
-    AND jobs.owner > waiting.owner) FROM waiting WHERE waiting.owner IS NOT NULL) \
+    SELECT (SELECT jobs.owner FROM jobs WHERE state = 'QUEUED' AND priority = $1 \
+    AND jobs.owner > waiting.owner ORDER BY jobs.owner LIMIT 1) \
+    FROM waiting WHERE waiting.owner IS NOT NULL) \
     SELECT waiting.owner FROM waiting LEFT JOIN shares ON shares.owner = waiting.owner \
     WHERE waiting.owner IS NOT NULL \
     ORDER BY (SELECT count(*) FROM jobs WHERE state = 'RUNNING' AND jobs.owner = waiting.owner), \
     COALESCE(shares.score, 0), \
-    (SELECT min(n) FROM jobs WHERE state = 'QUEUED' AND priority = $1 AND jobs.owner = waiting.owner)";
+    (SELECT n FROM jobs WHERE state = 'QUEUED' AND priority = $1 \
+    AND jobs.owner BETWEEN waiting.owner AND waiting.owner ORDER BY jobs.owner, n LIMIT 1)";
 
 async fn by_share(tx: &mut Tx, priority: i64) -> Result<Vec<String>> {
     Ok(sqlx::query_scalar(AssertSqlSafe(BY_SHARE)).bind(priority).fetch_all(&mut **tx).await?)
