@@ -61,9 +61,10 @@ pub(crate) struct ServeArgs {
     /// A job fails as POISONED when this many workers have lost it.
     #[arg(long, env = "LOOKALIKE_MAX_ATTEMPTS", default_value_t = 3, value_name = "N")]
     pub(crate) max_attempts: u32,
-    /// A host that loses this many different jobs in a row gets no more for a while.
-    #[arg(long, env = "LOOKALIKE_MAX_IN_A_ROW", default_value_t = 3, value_name = "N")]
-    pub(crate) max_in_a_row: u32,
+    /// A host that loses this many different jobs in a row gets no more for a while. Default: 3, or as --max-attempts
+    /// where that is more.
+    #[arg(long, env = "LOOKALIKE_MAX_IN_A_ROW", value_name = "N")]
+    pub(crate) max_in_a_row: Option<u32>,
     /// How long that is, in seconds.
     #[arg(long, env = "LOOKALIKE_QUARANTINE_SECS", default_value_t = 600.0, value_name = "SECS")]
     pub(crate) quarantine_secs: f64,
@@ -179,9 +180,9 @@ impl ServeArgs {
         }
         let quarantine = seconds(&mut faults, "--quarantine-secs", self.quarantine_secs);
         let preempt_after = seconds(&mut faults, "--preempt-after-secs", self.preempt_after_secs);
-        for (flag, n) in
-            [("--max-attempts", self.max_attempts), ("--max-in-a-row", self.max_in_a_row)]
-        {
+        let usual = Terms::default().max_in_a_row.max(self.max_attempts);
+        let max_in_a_row = self.max_in_a_row.unwrap_or(usual);
+        for (flag, n) in [("--max-attempts", self.max_attempts), ("--max-in-a-row", max_in_a_row)] {
             if n == 0 {
                 faults.push(format!("{flag} 0: use at least 1"));
             }
@@ -201,7 +202,7 @@ impl ServeArgs {
                 lease,
                 heartbeat,
                 max_lost: self.max_attempts,
-                max_in_a_row: self.max_in_a_row,
+                max_in_a_row,
                 quarantine,
                 preempt_after,
                 checkpoint,
