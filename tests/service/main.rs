@@ -21,6 +21,7 @@ mod panics;
 #[path = "../stores/postgres.rs"]
 mod postgres;
 mod processes;
+mod queue;
 mod resuming;
 #[path = "../stores/s3.rs"]
 mod s3;

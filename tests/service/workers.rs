@@ -13,7 +13,8 @@ use crate::support::{Server, create, job, log};
 
 fn claim_as(worker: &str) -> wire::ClaimRequest {
     let version = env!("CARGO_PKG_VERSION").into();
-    wire::ClaimRequest { worker: worker.into(), version, wait_secs: 5.0, build: "b".into() }
+    let (worker, build) = (worker.into(), "b".into());
+    wire::ClaimRequest { worker, version, wait_secs: 5.0, build, host: String::new() }
 }
 
 async fn claim(server: &Server, worker: &str) -> wire::Assignment {
