@@ -52,8 +52,12 @@ $(VENV)/installed: $(CLIENT) $(wildcard proto/lookalike/*/*.proto)
 loadtest: build $(VENV)/installed
 	$(VENV)/bin/python loadtest/farm.py --binary target/release/lookalike --jobs 40 --in-flight 8
 
+# Kills and freezes processes at random moments, on both pairs of stores; the long mode is ROUNDS=200.
+# A run is repeated by the seed that it prints: SEED=...
 torture:
-	LOOKALIKE_TORTURE_ROUNDS=20 $(CARGO) test --release --test service -- torture --nocapture
+	deploy/setup.sh test
+	LOOKALIKE_TORTURE_ROUNDS=$(or $(ROUNDS),20) $(if $(SEED),LOOKALIKE_TORTURE_SEED=$(SEED)) \
+	    $(CARGO) test --release --test service -- torture_of --nocapture
 
 bench:
 	$(CARGO) bench

@@ -32,7 +32,7 @@ fn artifact(lease: &wire::Lease, bytes: &'static [u8]) -> [wire::PutArtifactRequ
 }
 
 /// Every call that a worker can make on a job.
-async fn every_call(server: &Server, lease: &wire::Lease) -> Vec<Result<(), Status>> {
+pub(crate) async fn every_call(server: &Server, lease: &wire::Lease) -> Vec<Result<(), Status>> {
     let mut client = server.worker_client();
     let lease = Some(lease.clone());
     let outcome = wire::complete_request::Outcome::Succeeded(wire::Succeeded { files: vec![] });
