@@ -42,6 +42,8 @@ python: $(VENV)/installed
 	$(CARGO) test --release --no-run
 	LOOKALIKE_BIN=$(CURDIR)/target/release/lookalike $(VENV)/bin/python -m pytest -q clients/python/tests
 	LOOKALIKE_BIN=$(CURDIR)/target/release/lookalike $(VENV)/bin/python -m pytest -q loadtest
+	LOOKALIKE_PYTHON=$(CURDIR)/$(VENV)/bin/python \
+	    $(CARGO) test --release --test service -- chaos_between_python
 
 $(VENV)/installed: $(CLIENT) $(wildcard proto/lookalike/*/*.proto)
 	deploy/setup.sh test

@@ -12,6 +12,7 @@
 mod api;
 mod auth;
 mod bad_input;
+mod chaos;
 mod command_line;
 mod farm;
 mod files;
