@@ -13,7 +13,7 @@ from lookalike.spec import simplify_spec
 def main(url: str, file: str, request_id: str, out: str) -> None:
     """What JOB of tests/service/support.rs asks for."""
     looks = {"n_views": 12, "image_size": 128, "effort": "fast", "seed": 7}
-    balance = {"lambda": 0.3, "optimize_max_evaluations": 3000}
+    balance = {"surface_weight": 0.3, "optimize_max_evaluations": 3000}
     work = simplify_spec([500, 200], **looks, **balance)
     with lookalike.Client(url, patience_secs=120) as client:
         mesh = client.upload(Path(file))
