@@ -36,6 +36,7 @@ pub mod webhooks;
 
 mod attempts;
 mod expiry;
+mod points;
 
 pub use places::Places;
 
@@ -52,6 +53,7 @@ use self::{
     blobs::Blobs,
     error::{Error, Result},
     lease::{Loss, Terms},
+    points::{Point, pass},
     signals::Signals,
     store::{Job, Store},
 };
@@ -219,6 +221,7 @@ impl Jobs {
     async fn sweep_orphans(&self) -> Result<()> {
         self.0.store.forget_audit(self.0.limits.keep_audit).await?;
         let mut unknown = self.0.store.forget_meshes(self.0.limits.keep_meshes).await?;
+        pass(Point::MeshesForgotten);
         let old = SystemTime::now() - ORPHANS_STAY;
         let meshes = self.0.blobs.meshes().await?.into_iter();
         for hash in meshes.filter(|(_, written)| *written < old).map(|(hash, _)| hash) {

@@ -11,6 +11,7 @@ use super::{
 use crate::jobs::{
     Limits,
     error::{Error, Result},
+    points::{Point, pass},
     spec::Spec,
     state::Trigger,
 };
@@ -145,6 +146,7 @@ impl Store {
         let mut job = find(&mut tx, id).await?;
         let entry = state_entry(&job, "CREATED", "waiting for a worker".into());
         log(&mut tx, &mut job, now, &[entry]).await?;
+        pass(Point::CreateWritten);
         tx.commit().await?;
         Ok((job, true))
     }
@@ -239,6 +241,7 @@ impl Store {
             return Err(Error::Illegal { job: job.name(), state: job.state, remedy });
         }
         sqlx::query("DELETE FROM jobs WHERE id = $1").bind(id).execute(&mut *tx).await?;
+        pass(Point::DeleteWritten);
         tx.commit().await?;
         Ok(())
     }

@@ -13,6 +13,7 @@ use crate::jobs::{
     error::{Error, Result},
     event::{CREATED_SEQ, Report, ServerEvent},
     lease::{Lease, Loss, Terms, verdict},
+    points::{Point, pass},
     state::Trigger,
 };
 
@@ -52,6 +53,7 @@ impl Store {
             Some(row) => Some(start(&mut tx, job_of(&row)?, worker, terms).await?),
             None => None,
         };
+        pass(Point::ClaimWritten);
         tx.commit().await?;
         Ok(job)
     }
@@ -93,6 +95,7 @@ impl Store {
             let update = "UPDATE jobs SET appended = $1, stage = $2, fraction = $3 WHERE id = $4";
             let update = sqlx::query(update).bind(job.appended as i64).bind(&job.stage);
             update.bind(job.fraction).bind(&job.id).execute(&mut *tx).await?;
+            pass(Point::AppendWritten);
             tx.commit().await?;
         }
         Ok(Appended { held: job.appended, cancel_requested: job.cancel_requested })
@@ -110,6 +113,7 @@ impl Store {
             sqlx::query(insert).bind(&lease.job).bind(lease.epoch as i64).bind(&artifact.file);
         let insert = insert.bind(storable(&artifact.media_type)).bind(artifact.size as i64);
         insert.bind(&artifact.blake3).execute(&mut *tx).await?;
+        pass(Point::ArtifactWritten);
         tx.commit().await?;
         Ok(())
     }
@@ -139,6 +143,7 @@ impl Store {
             }
             Outcome::Released(text) => lose(&mut tx, job, Loss::Released, text, max_lost).await?,
         };
+        pass(Point::CompleteWritten);
         tx.commit().await?;
         Ok(job)
     }
