@@ -102,6 +102,7 @@ impl Jobs {
         if !faults.is_empty() {
             return Err(Error::Invalid(faults));
         }
+        let _turn = self.0.turns.of(&new.owner).await;
         let id = uuid::Uuid::now_v7().simple().to_string();
         let (job, is_new) = self.0.store.create(&id, &new, &self.0.limits).await?;
         pass(Point::CreateCommitted);

@@ -37,6 +37,7 @@ pub mod webhooks;
 mod attempts;
 mod expiry;
 mod points;
+mod turns;
 
 pub use places::Places;
 
@@ -56,6 +57,7 @@ use self::{
     points::{Point, pass},
     signals::Signals,
     store::{Job, Store},
+    turns::Turns,
 };
 
 /// Caps on what clients may ask for.
@@ -106,8 +108,10 @@ struct Inner {
     store: Store,
     blobs: Blobs,
     signals: Arc<Signals>,
-    /// Pass signals on between servers.
+    ledger: audit::Ledger,
+    /// Pass signals on between servers, and entries of the audit table to it.
     _couriers: JoinSet<()>,
+    turns: Turns,
     terms: Terms,
     limits: Limits,
     workers: PathBuf,
@@ -127,12 +131,16 @@ impl Jobs {
         let blobs = places.blobs()?;
         let store = places.store().await?;
         places.check_pair(&store, &blobs).await?;
-        let (signals, couriers) = Signals::open(&store);
+        let (signals, mut couriers) = Signals::open(&store);
+        let (ledger, keep) = audit::open(store.clone());
+        couriers.spawn(keep);
         let jobs = Self(Arc::new(Inner {
             store,
             blobs,
             signals,
+            ledger,
             _couriers: couriers,
+            turns: Turns::default(),
             terms,
             limits,
             workers,

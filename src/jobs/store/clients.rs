@@ -127,12 +127,7 @@ impl Store {
         if let Some(job) = owners::requested(&mut tx, new).await? {
             return Ok((same_request(job, new)?, false));
         }
-        owners::check_queue(&mut tx, &new.owner, limits.max_owner_queued).await?;
-        let query =
-            sqlx::query_scalar::<_, i64>("SELECT count(*) FROM jobs WHERE state = 'QUEUED'");
-        if query.fetch_one(&mut *tx).await? as u64 >= limits.max_queued {
-            return Err(Error::QueueFull(limits.max_queued));
-        }
+        check_queue(&mut tx, &new.owner, limits).await?;
         let now = now_ms(&mut tx).await?;
         keep_meshes(&mut tx, new, now).await?;
         let spec = serde_json::to_string(&new.spec).map_err(stored("the specification"))?;
@@ -272,6 +267,25 @@ impl Store {
         let query = sqlx::query_scalar::<_, i64>("SELECT count(*) FROM jobs WHERE id = $1");
         Ok(query.bind(id).fetch_one(&self.readers).await? == 1)
     }
+}
+
+/// Refuses when as many jobs wait as may. Waiting jobs are counted only where they may be so many, by the numbers
+/// of the first and the last of them: counting takes the longer the more there are.
+async fn check_queue(tx: &mut Tx, owner: &str, limits: &Limits) -> Result<()> {
+    let query = "SELECT COALESCE((SELECT max(n) FROM jobs WHERE state = 'QUEUED') + 1 \
+                 - (SELECT min(n) FROM jobs WHERE state = 'QUEUED'), 0)";
+    let at_most = sqlx::query_scalar::<_, i64>(query).fetch_one(&mut **tx).await? as u64;
+    if at_most >= limits.max_owner_queued {
+        owners::check_queue(tx, owner, limits.max_owner_queued).await?;
+    }
+    if at_most >= limits.max_queued {
+        let query =
+            sqlx::query_scalar::<_, i64>("SELECT count(*) FROM jobs WHERE state = 'QUEUED'");
+        if query.fetch_one(&mut **tx).await? as u64 >= limits.max_queued {
+            return Err(Error::QueueFull(limits.max_queued));
+        }
+    }
+    Ok(())
 }
 
 /// Makes a mesh as young as if it were stored now; false when there is none.
