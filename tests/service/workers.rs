@@ -49,7 +49,7 @@ fn piece(lease: &wire::Lease, n: u32, bytes: &'static [u8]) -> [wire::PutCheckpo
 }
 
 /// Every call that a worker can make on a job.
-async fn every_call(server: &Server, lease: &wire::Lease) -> Vec<Result<(), Status>> {
+pub(crate) async fn every_call(server: &Server, lease: &wire::Lease) -> Vec<Result<(), Status>> {
     let mut client = server.worker_client();
     let lease = Some(lease.clone());
     let outcome = wire::complete_request::Outcome::Succeeded(wire::Succeeded { files: vec![] });
@@ -158,7 +158,7 @@ async fn an_attempt_goes_on_where_the_lost_one_left_its_last_checkpoint() {
     let mut client = server.client();
     let name = create(&mut client).await;
     let mut worker = server.worker_client();
-    let mut note = async |lease: &wire::Lease, first_index: u64| {
+    let note = async |lease: &wire::Lease, first_index: u64| {
         let note = v1::Note { code: "N".into(), text: first_index.to_string() };
         let body = Some(wire::worker_event::Body::Note(note));
         let (lease, events) = (Some(lease.clone()), vec![wire::WorkerEvent { body }]);
