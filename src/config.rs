@@ -55,6 +55,9 @@ pub(crate) struct ServeArgs {
     /// Seconds between a worker's signs of life; at most half the lease.
     #[arg(long, env = "LOOKALIKE_HEARTBEAT_SECS", default_value_t = 10.0, value_name = "SECS")]
     pub(crate) heartbeat_secs: f64,
+    /// Seconds of work between checkpoints, which is what a job whose worker is lost has to do again; 0 for none.
+    #[arg(long, env = "LOOKALIKE_CHECKPOINT_SECS", default_value_t = 10.0, value_name = "SECS")]
+    pub(crate) checkpoint_secs: f64,
     /// A job fails as POISONED when it lost this many attempts.
     #[arg(long, env = "LOOKALIKE_MAX_ATTEMPTS", default_value_t = 3, value_name = "N")]
     pub(crate) max_attempts: u32,
@@ -157,6 +160,10 @@ impl ServeArgs {
         let lease = seconds(&mut faults, "--lease-secs", self.lease_secs);
         let heartbeat = seconds(&mut faults, "--heartbeat-secs", self.heartbeat_secs);
         let drain = seconds(&mut faults, "--drain-secs", self.drain_secs);
+        let checkpoint = match self.checkpoint_secs {
+            0.0 => Duration::ZERO,
+            secs => seconds(&mut faults, "--checkpoint-secs", secs),
+        };
         if heartbeat * 2 > lease {
             let text = "a lease must outlive one missed sign of life";
             faults.push(format!("--heartbeat-secs is more than half of --lease-secs: {text}"));
@@ -175,7 +182,7 @@ impl ServeArgs {
             places,
             n_workers: self.workers,
             device: self.device,
-            terms: Terms { lease, heartbeat, max_lost: self.max_attempts },
+            terms: Terms { lease, heartbeat, max_lost: self.max_attempts, checkpoint },
             limits: Limits {
                 max_mesh_bytes: self.max_mesh_mib.saturating_mul(1 << 20),
                 max_queued: self.max_queued,

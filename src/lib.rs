@@ -19,6 +19,7 @@
 //! And jobs, which know nothing of geometry: [`jobs`] (specification, states, leases, events,
 //! stores) and [`service`] (gRPC adapters).
 //!
+//! [`tape`], below the geometry, remembers answers that were costly, so that a run can be resumed.
 //! `intrinsics`, below all of them, has what is `unsafe`, and nothing else has.
 //!
 //! `tests/layers.rs` holds the table of who may import whom.
@@ -36,5 +37,6 @@ pub mod progressive;
 pub mod render;
 pub mod service;
 pub mod simplify;
+pub mod tape;
 pub mod telemetry;
 pub mod worker;

@@ -14,17 +14,18 @@ use std::{
 };
 
 /// Module → modules of this crate that it may import (itself always).
-const MAY_IMPORT: [(&str, &[&str]); 18] = [
+const MAY_IMPORT: [(&str, &[&str]); 19] = [
     ("intrinsics", &[]),
     ("mesh", &["intrinsics"]),
     ("io", &["mesh"]),
     ("progressive", &["mesh"]),
     ("memoryless", &["mesh", "intrinsics"]),
     ("cluster", &["mesh"]),
-    ("render", &["intrinsics"]),
+    ("tape", &[]),
+    ("render", &["intrinsics", "tape"]),
     ("metric", &["mesh", "render"]),
     ("simplify", &["mesh", "memoryless", "metric", "render"]),
-    ("optimize", &["mesh", "memoryless", "metric", "render", "simplify"]),
+    ("optimize", &["mesh", "memoryless", "metric", "render", "simplify", "tape"]),
     ("compare", &["intrinsics", "mesh", "render", "metric"]),
     ("jobs", &[]),
     (
@@ -42,6 +43,7 @@ const MAY_IMPORT: [(&str, &[&str]); 18] = [
             "optimize",
             "compare",
             "service",
+            "tape",
         ],
     ),
     ("service", &["jobs"]),
@@ -62,6 +64,7 @@ const MAY_IMPORT: [(&str, &[&str]); 18] = [
             "optimize",
             "compare",
             "worker",
+            "tape",
             "service",
             "telemetry",
             "config",

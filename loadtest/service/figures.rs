@@ -102,7 +102,7 @@ async fn latency(server: &Server, n: usize) -> Vec<f64> {
 
 fn claim(worker: &str) -> wire::ClaimRequest {
     let version = env!("CARGO_PKG_VERSION").into();
-    wire::ClaimRequest { worker: worker.into(), version, wait_secs: 20.0 }
+    wire::ClaimRequest { worker: worker.into(), version, wait_secs: 20.0, ..Default::default() }
 }
 
 fn failed(lease: Option<wire::Lease>) -> wire::CompleteRequest {

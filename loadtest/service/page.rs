@@ -42,7 +42,8 @@ pub(crate) fn section(figures: &[Figures], abuses: &[Abuses], note: Option<&str>
         let _ = write!(text, " {note}");
     }
     text += "\n";
-    if let Some((_, first)) = figures.first() {
+    // Of the pairs the one with the most figures names them: not all have each.
+    if let Some((_, first)) = figures.iter().max_by_key(|(_, rows)| rows.len()) {
         let names: Vec<_> = figures.iter().map(|(name, _)| *name).collect();
         let _ = write!(text, "\n| | {} | asked for |\n|---|", names.join(" | "));
         text += &"---:|".repeat(names.len() + 1);

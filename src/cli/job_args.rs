@@ -63,7 +63,7 @@ pub(crate) struct JobArgs {
     #[command(flatten)]
     pictures: PictureArgs,
     /// The image-driven stage starts at this multiple of the largest level; `auto`: 4, or 8 for models of several
-    /// parts or with textures.
+    /// parts or with textures where that is at most a third of the model.
     #[arg(long, default_value = "auto", value_parser = automatic::<f64>, value_name = "K")]
     start_factor: f64,
     /// Weight of the surface against the boundary in the memoryless cost, 0 to 1.

@@ -14,8 +14,8 @@ pub(crate) struct PictureArgs {
     /// A direction from the model's centre to an eye; repeat it. Replaces --views.
     #[arg(long = "view", value_parser = direction, value_name = "X,Y,Z", allow_hyphen_values = true)]
     custom_views: Vec<[f64; 3]>,
-    /// Pixels along each side of a picture, 64 to 1024, a multiple of 8; `auto`: 256, 512 or 1024, as the finest level
-    /// needs.
+    /// Pixels along each side of a picture, 64 to 1024, a multiple of 8; `auto`: 256, 512 or, at effort
+    /// best, 1024, as the finest level needs.
     #[arg(long, default_value = "auto", value_parser = automatic::<u32>, value_name = "PIXELS")]
     image_size: u32,
     /// Surface shading.

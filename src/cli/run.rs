@@ -9,6 +9,7 @@ use std::{
 use clap::Args;
 use lookalike::{
     jobs::{event::Report, spec::Spec},
+    tape::Tape,
     worker::pipeline::{self, DeviceChoice, Inputs, ModelFile, PipelineError},
 };
 
@@ -75,7 +76,7 @@ pub(crate) async fn here(
         };
         let inputs =
             Inputs { original: model(&original), simplified: simplified.as_ref().map(model) };
-        let result = pipeline::run(&spec, &inputs, &out, &device, &mut on);
+        let result = pipeline::run(&spec, &inputs, &out, (&device, &Tape::off()), &mut on);
         bar.finish();
         result
     });

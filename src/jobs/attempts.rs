@@ -18,7 +18,7 @@ use super::{
     points::{Point, pass},
     segment,
     state::State,
-    store::{Appended, Artifact, Job, Outcome},
+    store::{Appended, Artifact, Job, Outcome, Piece},
 };
 
 /// The queue is looked at this often even when nobody calls.
@@ -117,6 +117,37 @@ impl Jobs {
         Ok(())
     }
 
+    /// What the worker that has just claimed the job goes on from: pieces of a checkpoint. None where it starts
+    /// over.
+    pub async fn resume(&self, lease: &Lease, build: &str) -> Result<Vec<Piece>> {
+        let pieces = self.0.store.resume(lease, build, self.0.terms.max_lost).await?;
+        self.0.signals.log_grew(&lease.job);
+        Ok(pieces)
+    }
+
+    /// The bytes of the checkpoint, piece by piece.
+    pub async fn checkpoint(&self, lease: &Lease) -> Result<Vec<Blob>> {
+        let pieces = self.0.store.pieces(lease).await?;
+        let blob = |p: &Piece| self.0.blobs.piece(&lease.job, p.epoch, p.n, p.size);
+        Ok(pieces.iter().map(blob).collect())
+    }
+
+    /// Stores piece `n` of the checkpoint, made by this build: the bytes that arrive on `chunks` until it closes.
+    /// All that the attempt reported before it must be in the log.
+    pub async fn put_piece(
+        &self,
+        lease: &Lease,
+        (n, build): (u32, &str),
+        announced: &Announced,
+        chunks: mpsc::Receiver<Bytes>,
+    ) -> Result<()> {
+        self.0.store.check(lease).await?;
+        let staged = self.0.blobs.stage(chunks, self.0.limits.max_piece_bytes).await?;
+        announced.check(&format!("piece {n} of the checkpoint"), staged.size, &staged.hash)?;
+        self.0.blobs.commit_piece(staged, &lease.job, lease.epoch, n).await?;
+        self.0.store.add_piece(lease, n, announced.size, build).await
+    }
+
     /// Ends the attempt.
     pub async fn complete(&self, lease: &Lease, outcome: &Outcome) -> Result<Job> {
         let job = self.0.store.complete(lease, outcome, self.0.terms.max_lost).await?;
@@ -124,6 +155,7 @@ impl Jobs {
         if job.state == State::Succeeded {
             self.0.blobs.remove_artifacts_before(&job.id, job.epoch).await?;
         }
+        self.forget_checkpoints(std::slice::from_ref(&job)).await?;
         let mut jobs = self.announce(vec![job]);
         jobs.pop().ok_or_else(|| Error::NotFound(format!("jobs/{}", lease.job)))
     }

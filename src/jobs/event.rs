@@ -49,7 +49,8 @@ pub enum ServerEvent {
         /// The worker concerned, or empty.
         worker: String,
     },
-    /// An attempt was lost; what it reported after `rewind_to_seq` is void.
+    /// An attempt was lost; what it reported after `rewind_to_seq` is void, and the next one starts over or, where
+    /// the reason is `RESUMED`, goes on from there.
     Restarted {
         /// The last entry that still counts.
         rewind_to_seq: u64,
@@ -62,7 +63,7 @@ pub enum ServerEvent {
     },
 }
 
-/// The entry that every log begins with, and to which a job without checkpoints rewinds.
+/// The entry that every log begins with, and to which a job without a checkpoint rewinds.
 pub const CREATED_SEQ: u64 = 1;
 
 impl Body {

@@ -31,11 +31,18 @@ pub struct Terms {
     pub heartbeat: Duration,
     /// A job is `POISONED` when it has lost this many attempts.
     pub max_lost: u32,
+    /// How often workers are told to leave a checkpoint; never where it is zero.
+    pub checkpoint: Duration,
 }
 
 impl Default for Terms {
     fn default() -> Self {
-        Self { lease: Duration::from_secs(30), heartbeat: Duration::from_secs(10), max_lost: 3 }
+        Self {
+            lease: Duration::from_secs(30),
+            heartbeat: Duration::from_secs(10),
+            max_lost: 3,
+            checkpoint: Duration::from_secs(10),
+        }
     }
 }
 

@@ -6,7 +6,7 @@
 //! ```text
 //! DIR/lock           held by the server that owns the directory
 //! DIR/jobs.sqlite3   jobs, leases, event log, manifests (store/), unless they are in PostgreSQL
-//! DIR/objects/       meshes, record segments, artifacts (blobs/), or what is on its way to a bucket
+//! DIR/objects/       meshes, record segments, checkpoints, artifacts (blobs/), or what is on its way to a bucket
 //! DIR/workers/       one lock file for each local worker, held while it lives; the server's socket
 //! ```
 //!
@@ -67,6 +67,8 @@ pub struct Limits {
     pub max_mesh_bytes: u64,
     /// Bytes of an artifact.
     pub max_artifact_bytes: u64,
+    /// Bytes of a piece of a checkpoint.
+    pub max_piece_bytes: u64,
     /// Jobs that may wait at once.
     pub max_queued: u64,
     /// Jobs of one owner that may wait at once.
@@ -86,6 +88,7 @@ impl Default for Limits {
         Self {
             max_mesh_bytes: 4 << 30,
             max_artifact_bytes: 4 << 30,
+            max_piece_bytes: 256 << 20,
             max_queued: 100_000,
             max_owner_queued: 100_000,
             max_owner_bytes: u64::MAX,
@@ -186,6 +189,7 @@ impl Jobs {
                 lost.extend(self.worker_gone(&worker).await?);
             }
         }
+        self.forget_checkpoints(&lost).await?;
         Ok(lost)
     }
 
@@ -254,6 +258,14 @@ impl Jobs {
     async fn lose_worker(&self, worker: &str, loss: Loss) -> Result<Vec<Job>> {
         let lost = self.0.store.lose_worker(worker, loss, self.0.terms.max_lost).await?;
         Ok(self.announce(lost))
+    }
+
+    /// Removes the checkpoints of those that ended.
+    async fn forget_checkpoints(&self, jobs: &[Job]) -> Result<()> {
+        for job in jobs.iter().filter(|job| job.state.is_final()) {
+            self.0.blobs.remove_pieces(&job.id, job.epoch).await?;
+        }
+        Ok(())
     }
 
     /// Wakes whoever waits for these jobs.

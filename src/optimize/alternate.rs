@@ -30,6 +30,7 @@ use std::ops::ControlFlow;
 use crate::{
     mesh::{EditMesh, EditRecord, Sample, Stage, Step},
     metric::{Objective, ViewSet, d2_percent},
+    tape::{Question, Tape},
 };
 
 use super::{
@@ -68,17 +69,17 @@ impl Turns {
 }
 
 /// Optimizes in turns, each with the objective that `show` makes for it. If one of `sets` is looked at, turns
-/// search single vertices too. `params.max_evaluations` must not be 0, and is
+/// search single vertices too. What the tape knows is not drawn. `params.max_evaluations` must not be 0, and is
 /// for all turns together.
 pub fn alternate<E: From<OptimizeError>>(
     mesh: &mut EditMesh,
     params: &Params,
     turns: Turns,
-    sets: &[ViewSet],
+    (sets, tape): (&[ViewSet], &Tape),
     show: &mut Shower<'_, E>,
     on: &mut Listener<'_>,
 ) -> Result<Outcome, E> {
-    let mut run = Alternation::new(mesh, &show(0, mesh)?, params, turns, sets);
+    let mut run = Alternation::new(mesh, &show(0, mesh)?, params, turns, (sets, tape));
     let ended = run.all(mesh, show, on);
     run.outcome.stopped_by = match ended {
         Ok(()) => StoppedBy::Evaluations,
@@ -124,6 +125,11 @@ pub(super) fn tell(edits: &[EditRecord], on: &mut Listener<'_>) -> ControlFlow<(
     flow
 }
 
+/// What a tape is asked here and in the modules beside (0 to 2: `render/taped.rs`).
+const DESCENT: Question = Question::of(3);
+pub(super) const RESIDUAL: Question = Question::of(4);
+pub(super) const JUDGED: Question = Question::of(5);
+
 /// A run ends when so many cycles in a row have brought nothing.
 const MAX_FRUITLESS: u32 = 6;
 
@@ -148,6 +154,8 @@ pub(super) struct Alternation<'a> {
     pub params: &'a Params,
     pub turns: Turns,
     pub sets: &'a [ViewSet],
+    /// Knows what was drawn and found before.
+    pub tape: &'a Tape,
     /// Triangles at first.
     pub n_faces: usize,
     n_turns: usize,
@@ -168,7 +176,7 @@ impl<'a> Alternation<'a> {
         objective: &Objective,
         params: &'a Params,
         turns: Turns,
-        sets: &'a [ViewSet],
+        (sets, tape): (&'a [ViewSet], &'a Tape),
     ) -> Self {
         let energy = objective.energy();
         let outcome = Outcome {
@@ -182,6 +190,7 @@ impl<'a> Alternation<'a> {
             params,
             turns,
             sets,
+            tape,
             n_faces: mesh.n_faces(),
             n_turns: 0,
             n_steps: 0,
@@ -343,9 +352,10 @@ impl<'a> Alternation<'a> {
         self.n_steps += n_steps;
         self.outcome.evaluations += cost;
         let sets = &self.sets[..self.turns.n_looked_at];
-        match descent::descend(mesh, sets, steps, unknowns, &mut on_step) {
-            ControlFlow::Continue(edits) => tell(&edits, on),
-            ControlFlow::Break(()) => ControlFlow::Break(()),
+        let find = || descent::descend(mesh, sets, steps, unknowns, &mut on_step).continue_value();
+        match self.tape.known(DESCENT, find) {
+            Some(destination) => tell(&descent::go(mesh, &destination), on),
+            None => ControlFlow::Break(()),
         }
     }
 

@@ -27,7 +27,7 @@ use crate::{
 };
 
 use super::{
-    alternate::{Alternation, Halt, Listener, Shower, Stretch, heard, tell},
+    alternate::{Alternation, Halt, Listener, RESIDUAL, Shower, Stretch, heard, tell},
     descent,
     driver::OptimizeError,
     params::StoppedBy,
@@ -46,12 +46,8 @@ const NOISE: f64 = 0.3;
 /// Rounds of the searches of image-driven simplification, which is at effort fast otherwise.
 const SEARCH_ROUNDS: u32 = 5;
 
-/// How far the pictures of all view sets are off.
-struct Residual {
-    energy: f64,
-    /// By triangle slot.
-    faces: Vec<f64>,
-}
+/// How far the pictures of all view sets are off, by triangle slot.
+type Residual = Vec<f64>;
 
 impl Alternation<'_> {
     /// One cycle, until the run has spent `end` evaluations.
@@ -83,7 +79,7 @@ impl Alternation<'_> {
     fn refine_and_coarsen<E: From<OptimizeError>>(
         &mut self,
         mesh: &mut EditMesh,
-        (residual, end): (&Residual, u64),
+        (residual, end): (&[f64], u64),
         show: &mut Shower<'_, E>,
         on: &mut Listener<'_>,
     ) -> Result<(), Halt<E>> {
@@ -138,13 +134,16 @@ impl Alternation<'_> {
 
     /// Draws the mesh in all view sets.
     fn residual(&mut self, mesh: &EditMesh) -> Residual {
-        let mut sum = Residual { energy: 0.0, faces: vec![0.0; mesh.n_face_slots()] };
-        for set in self.sets {
-            let scene = scene_as_drawn(mesh, &set.pictures, self.has_own_normals);
-            let found = slopes(&scene, &set.reference, self.has_own_normals);
-            sum.energy += found.energy;
-            sum.faces.iter_mut().zip(&found.faces).for_each(|(all, one)| *all += one);
-        }
+        let draw = || {
+            let mut sum = vec![0.0; mesh.n_face_slots()];
+            for set in self.sets {
+                let scene = scene_as_drawn(mesh, &set.pictures, self.has_own_normals);
+                let found = slopes(&scene, &set.reference, self.has_own_normals);
+                sum.iter_mut().zip(&found.faces).for_each(|(all, one)| *all += one);
+            }
+            sum
+        };
+        let sum = self.tape.known(RESIDUAL, draw);
         self.outcome.evaluations += descent::cost_of_looks(mesh, self.sets.len());
         sum
     }
@@ -152,7 +151,7 @@ impl Alternation<'_> {
 
 /// Splits edges in the middle where the pictures are worst, of a triangle's edges rather a long one, no two
 /// at one triangle.
-fn refine(mesh: &mut EditMesh, residual: &Residual, rng: &mut Rng) -> Vec<EditRecord> {
+fn refine(mesh: &mut EditMesh, residual: &[f64], rng: &mut Rng) -> Vec<EditRecord> {
     let wanted = (SHARE * mesh.n_vertices() as f64) as usize;
     let mut is_taken = vec![false; mesh.n_face_slots()];
     let mut splits = Vec::with_capacity(wanted);
@@ -173,7 +172,7 @@ fn refine(mesh: &mut EditMesh, residual: &Residual, rng: &mut Rng) -> Vec<EditRe
 }
 
 /// Edges inside the surface, those whose split promises most first.
-fn by_gain(mesh: &EditMesh, residual: &Residual, rng: &mut Rng) -> Vec<(f64, [VertexId; 2])> {
+fn by_gain(mesh: &EditMesh, residual: &[f64], rng: &mut Rng) -> Vec<(f64, [VertexId; 2])> {
     let length = |[a, b]: [VertexId; 2]| mesh.position(a).distance(mesh.position(b));
     let sides = |[a, b, c]: [VertexId; 3]| [[a, b], [b, c], [c, a]];
     let mut edges = Vec::new();
@@ -185,7 +184,7 @@ fn by_gain(mesh: &EditMesh, residual: &Residual, rng: &mut Rng) -> Vec<(f64, [Ve
             }
             let around = faces.iter().flat_map(|f| sides(mesh.vertices_of(*f)));
             let longest = around.map(length).fold(f64::MIN_POSITIVE, f64::max);
-            let energy: f64 = faces.iter().map(|f| residual.faces[f.index()]).sum();
+            let energy: f64 = faces.iter().map(|f| residual[f.index()]).sum();
             let noise = 1.0 + NOISE * rng.below(1 << 20) as f64 / f64::from(1 << 20);
             edges.push((noise * energy * length([a, b]) / longest, [a, b]));
         }
@@ -206,7 +205,7 @@ mod tests {
         let worst = mesh.faces().nth(40).unwrap();
         let mut faces = vec![1.0; mesh.n_face_slots()];
         faces[worst.index()] = 1e6;
-        let splits = refine(&mut mesh, &Residual { energy: 1e6, faces }, &mut Rng::new(1));
+        let splits = refine(&mut mesh, &faces, &mut Rng::new(1));
         mesh.validate().unwrap();
         assert_eq!(splits.len(), (SHARE * n_vertices as f64) as usize);
         assert_eq!(mesh.n_faces(), n_faces + 2 * splits.len());

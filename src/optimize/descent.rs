@@ -61,15 +61,14 @@ pub fn cost_of_looks(mesh: &EditMesh, n_looks: usize) -> u64 {
 }
 
 /// Goes down the slope in `n_steps` steps, each by the next of the view sets, from number `first` on.
-/// Returns the edits, which the mesh has made; none if they would not have helped. Breaks off where
-/// `on_step` says so, before any edit.
+/// Returns where that leads; nowhere if it does not help. Breaks off where `on_step` says so.
 pub fn descend(
-    mesh: &mut EditMesh,
+    mesh: &EditMesh,
     sets: &[ViewSet],
     (first, n_steps): (usize, usize),
     unknowns: Unknowns,
     on_step: &mut dyn FnMut(usize) -> ControlFlow<()>,
-) -> ControlFlow<(), Vec<EditRecord>> {
+) -> ControlFlow<(), Destination> {
     let set = |k: usize| &sets[(first + k) % sets.len()];
     let mut scene = scene_as_drawn(mesh, &set(0).pictures, unknowns.has_own_normals);
     let mut walk = Walk::new(mesh, unknowns, n_steps);
@@ -86,7 +85,22 @@ pub fn descend(
     }
     walk.come_to_rest();
     let helps = judge(&walk, &mut scene) < before;
-    ControlFlow::Continue(if helps { walk.edit(mesh) } else { Vec::new() })
+    ControlFlow::Continue(if helps { walk.destination() } else { Destination::default() })
+}
+
+/// Where vertices should be, by slot, and their normals; those that stay are left out.
+pub type Destination = (Vec<(u32, DVec3)>, Vec<(u32, [f32; 3])>);
+
+/// Goes there; the edits.
+pub fn go(mesh: &mut EditMesh, (places, normals): &Destination) -> Vec<EditRecord> {
+    let mut records: Vec<EditRecord> = (places.iter())
+        .map(|(v, to)| EditRecord::Displacement(mesh.displace(VertexId(*v), *to)))
+        .collect();
+    if !normals.is_empty() {
+        let normals: Vec<_> = normals.iter().map(|(v, normal)| (VertexId(*v), *normal)).collect();
+        records.extend(mesh.revalue(Semantic::Normal, &normals).map(EditRecord::Revalue));
+    }
+    records
 }
 
 /// All vertices under way, by slot.
@@ -170,20 +184,15 @@ impl Walk {
         }
     }
 
-    /// Makes it so.
-    fn edit(&self, mesh: &mut EditMesh) -> Vec<EditRecord> {
+    /// Where everything is that has moved.
+    fn destination(&self) -> Destination {
         let moved = |p: &(usize, &Particle)| p.1.at != p.1.from;
-        let slot = |i: usize| VertexId(i as u32);
-        let mut records: Vec<EditRecord> = (self.places.iter().enumerate().filter(moved))
-            .map(|(i, p)| EditRecord::Displacement(mesh.displace(slot(i), p.at)))
-            .collect();
-        let normals: Vec<_> = (self.normals.iter().enumerate().filter(moved))
-            .map(|(i, p)| (slot(i), p.at.as_vec3().to_array()))
-            .collect();
-        if !normals.is_empty() {
-            records.extend(mesh.revalue(Semantic::Normal, &normals).map(EditRecord::Revalue));
-        }
-        records
+        let places = self.places.iter().enumerate().filter(moved);
+        let normals = self.normals.iter().enumerate().filter(moved);
+        (
+            places.map(|(i, p)| (i as u32, p.at)).collect(),
+            normals.map(|(i, p)| (i as u32, p.at.as_vec3().to_array())).collect(),
+        )
     }
 }
 

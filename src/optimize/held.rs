@@ -18,7 +18,7 @@ use crate::{
 };
 
 use super::{
-    alternate::{Alternation, Halt, Listener, Shower, Stretch, heard},
+    alternate::{Alternation, Halt, JUDGED, Listener, Shower, Stretch, heard},
     descent,
     driver::OptimizeError,
     params::StoppedBy,
@@ -109,7 +109,7 @@ impl Alternation<'_> {
             let drawn = render::reference(&scene_as_drawn(mesh, pictures, self.has_own_normals));
             render::energy(&pictures.views, reference, &drawn.pictures)
         };
-        let sum = judges.iter().map(energy).sum();
+        let sum = self.tape.known(JUDGED, || judges.iter().map(energy).sum());
         self.outcome.evaluations += descent::cost_of_looks(mesh, judges.len());
         sum
     }

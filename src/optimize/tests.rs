@@ -14,6 +14,7 @@ use crate::{
         RenderParams, Shading, Twin,
         view::{Projection, ViewParams, cameras, directions},
     },
+    tape::Tape,
 };
 
 /// A torus with bumps, and what 100 triangles are left of it.
@@ -248,7 +249,7 @@ fn what_is_told_is_what_was_done_wherever_the_caller_breaks_off() {
                 steps: [12, 6, 12],
                 cycle: 3_000,
             },
-            &sets,
+            (&sets, &Tape::off()),
             &mut |set, mesh| Ok(show(&original, &sets[set].pictures, mesh, false)),
             &mut |step| {
                 if let Step::Edit(edit) = step {
@@ -294,7 +295,7 @@ fn take_turns(
         &mut mesh,
         params,
         Turns { evaluations: 1_000, n_others: 1, n_looked_at: 4, steps: [12, 6, 12], cycle },
-        &sets,
+        (&sets, &Tape::off()),
         &mut |set, mesh| {
             turns.push(set);
             Ok(show(original, &sets[set].pictures, mesh, has_normals))

@@ -268,8 +268,17 @@ impl Scene {
         self.normals.iter_mut().zip(normals).for_each(|(old, new)| *old = new);
     }
 
+    /// Slots for the triangles that a move brings.
+    pub(super) fn make_room(&mut self, mv: &Move) {
+        let n_slots = mv.added.iter().map(|a| a.face as usize + 1).max().unwrap_or(0);
+        if n_slots > self.faces.len() {
+            self.faces.resize(n_slots, None);
+        }
+    }
+
     /// Applies an edit to the triangles, positions and screen points.
     pub fn apply(&mut self, mv: &Move) {
+        self.make_room(mv);
         for f in &mv.removed {
             self.faces[*f as usize] = None;
         }

@@ -82,10 +82,7 @@ impl Evaluator for Twin {
     }
 
     fn commit(&mut self, scene: &mut Scene, mv: &Move) -> Result<i64, RenderError> {
-        let added_slots = mv.added.iter().map(|a| a.face as usize + 1).max().unwrap_or(0);
-        if added_slots > scene.faces.len() {
-            scene.faces.resize(added_slots, None);
-        }
+        scene.make_room(mv);
         self.project(scene, std::slice::from_ref(mv));
         let (projected, shown) = (&self.projected[0], &*scene);
         let delta = (self.views.par_iter_mut().enumerate().with_min_len(5))

@@ -2,7 +2,7 @@
 
 use std::{pin::Pin, sync::Arc, time::Duration};
 
-use futures::{Stream, TryStreamExt};
+use futures::{Stream, TryStreamExt, stream};
 use prost::bytes::Bytes;
 use tokio_util::sync::CancellationToken;
 use tonic::{Request, Response, Status, Streaming};
@@ -19,6 +19,9 @@ use super::{
 use crate::jobs::{
     Jobs,
     blobs::is_safe_name,
+    clients::Announced,
+    error::Error,
+    lease::Lease,
     store::{Artifact, Job},
 };
 
@@ -50,12 +53,13 @@ impl worker::worker_service_server::WorkerService for WorkerApi {
             claimed = claim => claimed.map_err(|e| status_of(&e))?,
             () = self.shutdown.cancelled() => return Err(status::shutting_down()),
         };
-        if let Some(job) = &claimed {
-            let (attempt, epoch) = (job.attempt, job.epoch);
-            tracing::info!(job = job.id, worker = request.worker, attempt, epoch, "claimed");
-            self.observer.claimed();
-        }
-        let assignment = claimed.map(|job| self.assignment(&job));
+        let Some(job) = claimed else { return Ok(Response::new(worker::ClaimResponse::default())) };
+        let lease = Lease { job: job.id.clone(), epoch: job.epoch, worker: job.worker.clone() };
+        let pieces = self.jobs.resume(&lease, &request.build).await.map_err(|e| status_of(&e))?;
+        let (attempt, epoch, n_pieces) = (job.attempt, job.epoch, pieces.len() as u32);
+        tracing::info!(job = job.id, worker = request.worker, attempt, epoch, n_pieces, "claimed");
+        self.observer.claimed();
+        let assignment = Some(self.assignment(&job, n_pieces));
         Ok(Response::new(worker::ClaimResponse { assignment }))
     }
 
@@ -130,6 +134,44 @@ impl worker::worker_service_server::WorkerService for WorkerApi {
         Ok(Response::new(worker::PutArtifactResponse {}))
     }
 
+    async fn put_checkpoint(
+        &self,
+        request: Request<Streaming<worker::PutCheckpointRequest>>,
+    ) -> Result<Response<worker::PutCheckpointResponse>, Status> {
+        let mut parts = request.into_inner();
+        let first = parts.message().await?.and_then(|message| message.part);
+        let Some(worker::put_checkpoint_request::Part::Header(header)) = first else {
+            return Err(status::invalid("part", "the first message must be the header"));
+        };
+        check_build(&header.build)?;
+        let lease = convert::lease_from_wire(header.lease)?;
+        let announced = Announced { size: header.size, hash: header.blake3 };
+        transfer::receive(parts, piece_chunk, |chunks| {
+            self.jobs.put_piece(&lease, (header.piece, &header.build), &announced, chunks)
+        })
+        .await?;
+        tracing::debug!(job = lease.job, piece = header.piece, "checkpoint stored");
+        Ok(Response::new(worker::PutCheckpointResponse {}))
+    }
+
+    type FetchCheckpointStream =
+        Pin<Box<dyn Stream<Item = Result<worker::FetchCheckpointResponse, Status>> + Send>>;
+
+    async fn fetch_checkpoint(
+        &self,
+        request: Request<worker::FetchCheckpointRequest>,
+    ) -> Result<Response<Self::FetchCheckpointStream>, Status> {
+        let lease = convert::lease_from_wire(request.into_inner().lease)?;
+        let pieces = self.jobs.checkpoint(&lease).await.map_err(|e| status_of(&e))?;
+        let pieces = stream::iter((0..).zip(pieces).map(Ok::<_, Error>));
+        let bytes = pieces.and_then(|(piece, blob)| async move {
+            let bytes = blob.read(0, u64::MAX).await?;
+            Ok(bytes.map_ok(move |data| worker::FetchCheckpointResponse { piece, data }))
+        });
+        let answers = bytes.try_flatten().map_err(|e| status_of(&e));
+        Ok(Response::new(until(answers, self.shutdown.clone())))
+    }
+
     async fn complete(
         &self,
         request: Request<worker::CompleteRequest>,
@@ -147,7 +189,7 @@ impl worker::worker_service_server::WorkerService for WorkerApi {
 }
 
 impl WorkerApi {
-    fn assignment(&self, job: &Job) -> worker::Assignment {
+    fn assignment(&self, job: &Job, checkpoint_pieces: u32) -> worker::Assignment {
         let lease = worker::Lease { job: job.name(), epoch: job.epoch, worker: job.worker.clone() };
         worker::Assignment {
             lease: Some(lease),
@@ -157,6 +199,8 @@ impl WorkerApi {
             attempt: job.attempt,
             lease_secs: self.jobs.terms().lease.as_secs_f64(),
             heartbeat_secs: self.jobs.terms().heartbeat.as_secs_f64(),
+            checkpoint_pieces,
+            checkpoint_secs: self.jobs.terms().checkpoint.as_secs_f64(),
         }
     }
 }
@@ -168,10 +212,24 @@ fn artifact_chunk(message: worker::PutArtifactRequest) -> Option<Bytes> {
     }
 }
 
+fn piece_chunk(message: worker::PutCheckpointRequest) -> Option<Bytes> {
+    match message.part {
+        Some(worker::put_checkpoint_request::Part::Chunk(chunk)) => Some(chunk),
+        _ => None,
+    }
+}
+
+fn check_build(build: &str) -> Result<(), Status> {
+    let is_sound = build.len() <= 64 && build.chars().all(|c| c.is_ascii_graphic());
+    let fault = || status::invalid("build", "use at most 64 printable ASCII characters");
+    if is_sound { Ok(()) } else { Err(fault()) }
+}
+
 fn check_worker(request: &worker::ClaimRequest) -> Result<(), Status> {
     if !is_safe_name(&request.worker) || request.worker.len() > 64 {
         return Err(status::invalid("worker", "use 1 to 64 characters of [A-Za-z0-9._-]"));
     }
+    check_build(&request.build)?;
     let server = env!("CARGO_PKG_VERSION");
     if compatible(&request.version, server) {
         return Ok(());

@@ -17,8 +17,9 @@ use tokio_util::sync::CancellationToken;
 
 use super::{
     agent::WorkerConfig,
+    checkpoint::{self, HandingBack},
     link::{Link, LinkError},
-    outbox::{AHEAD, Outbox},
+    outbox::{AHEAD, Outbox, Parcel},
     pipeline::{DeviceChoice, Inputs, ModelFile, Pipeline, PipelineError},
 };
 use crate::{
@@ -67,6 +68,10 @@ pub struct Work {
     spec: Spec,
     file_name: String,
     heartbeat: Duration,
+    /// Pieces of the checkpoint that it goes on from.
+    n_pieces: u32,
+    /// Between checkpoints; zero for none.
+    checkpoint: Duration,
 }
 
 impl Work {
@@ -76,11 +81,14 @@ impl Work {
         let (spec, faults) = convert::spec_from_wire(assignment.spec);
         let heartbeat = Duration::try_from_secs_f64(assignment.heartbeat_secs).ok()?;
         let heartbeat = heartbeat.max(Duration::from_millis(10));
+        let checkpoint = Duration::try_from_secs_f64(assignment.checkpoint_secs).ok()?;
         faults.is_empty().then_some(Self {
             lease,
             spec,
             file_name: assignment.file_name,
             heartbeat,
+            n_pieces: assignment.checkpoint_pieces,
+            checkpoint,
         })
     }
 }
@@ -93,7 +101,7 @@ pub async fn run(
     drain: &CancellationToken,
 ) -> Result<Ended, LinkError> {
     let (stop, stopped) = watch::channel(None);
-    let (send, mut reports) = mpsc::channel(AHEAD);
+    let (send, mut parcels) = mpsc::channel(AHEAD);
     let (lease, heartbeat) = (work.lease.clone(), work.heartbeat);
     let input = tokio::select! {
         input = fetch(link, &work) => input?,
@@ -101,9 +109,6 @@ pub async fn run(
     };
     let (folder, device, pipeline) =
         (config.scratch.clone(), config.device.clone(), config.pipeline);
-    let mut running = tokio::task::spawn_blocking(move || {
-        guarded(pipeline, &work, &input, (&folder, &device), &send, &stopped)
-    });
     let mut outbox = Outbox {
         link: link.clone(),
         lease: lease.clone(),
@@ -111,9 +116,13 @@ pub async fn run(
         stop: stop.clone(),
         n_sent: 0,
         files: Vec::new(),
+        n_pieces: work.n_pieces,
     };
+    let mut running = tokio::task::spawn_blocking(move || {
+        guarded(pipeline, &work, input, (&folder, &device), &send, &stopped)
+    });
     let finish = async {
-        outbox.run(&mut reports).await?;
+        outbox.run(&mut parcels).await?;
         let result = (&mut running).await.unwrap_or_else(|fault| Err(Fault::panic(&fault)));
         if result.is_ok() {
             outbox.store_rest().await?;
@@ -136,7 +145,7 @@ pub async fn run(
         Err(error) => {
             Stop::Abandon.raise(&stop);
             // Nobody reads on: whatever the pipeline still reports tells it to stop.
-            drop(reports);
+            drop(parcels);
             if !running.is_finished() {
                 let _ = running.await;
             }
@@ -192,38 +201,50 @@ impl Fault {
     }
 }
 
-/// The bytes of the original, and of the simplified mesh where the job has one.
-async fn fetch(link: &Link, work: &Work) -> Result<(Vec<u8>, Option<Vec<u8>>), LinkError> {
+/// What an attempt begins with.
+struct Input {
+    original: Vec<u8>,
+    simplified: Option<Vec<u8>>,
+    /// Of the checkpoint that it goes on from.
+    pieces: Vec<Vec<u8>>,
+}
+
+async fn fetch(link: &Link, work: &Work) -> Result<Input, LinkError> {
     let original = link.fetch_mesh(&work.lease, "").await?;
     let simplified = match &work.spec.simplified {
         Some(input) => Some(link.fetch_mesh(&work.lease, &input.mesh).await?),
         None => None,
     };
-    Ok((original, simplified))
+    let has_pieces = work.n_pieces > 0;
+    let pieces = if has_pieces { link.fetch_checkpoint(&work.lease).await? } else { Vec::new() };
+    Ok(Input { original, simplified, pieces })
 }
 
 fn guarded(
     pipeline: Pipeline,
     work: &Work,
-    (original, simplified): &(Vec<u8>, Option<Vec<u8>>),
+    input: Input,
     (out_dir, device): (&Path, &DeviceChoice),
-    reports: &mpsc::Sender<Report>,
+    parcels: &mpsc::Sender<Parcel>,
     stopped: &watch::Receiver<Option<Stop>>,
 ) -> Result<(), Fault> {
+    let mut handing_back = HandingBack::when(stopped);
+    let tape = checkpoint::tape(input.pieces, work.checkpoint, parcels, &handing_back);
+    let makes_pieces = !work.checkpoint.is_zero();
     let mut on = |report: Report| {
-        let sent = reports.blocking_send(report).is_ok();
-        if sent && stopped.borrow().is_none() {
+        let sent = parcels.blocking_send(Parcel::Report(report)).is_ok();
+        if sent && !handing_back.should_end(makes_pieces) {
             ControlFlow::Continue(())
         } else {
             ControlFlow::Break(())
         }
     };
-    let simplified = simplified.as_deref().zip(work.spec.simplified.as_ref());
+    let simplified = input.simplified.as_deref().zip(work.spec.simplified.as_ref());
     let inputs = Inputs {
-        original: ModelFile { name: &work.file_name, bytes: original },
+        original: ModelFile { name: &work.file_name, bytes: &input.original },
         simplified: simplified.map(|(bytes, i)| ModelFile { name: &i.file_name, bytes }),
     };
-    let run = || pipeline(&work.spec, &inputs, out_dir, device, &mut on);
+    let run = || pipeline(&work.spec, &inputs, out_dir, (device, &tape), &mut on);
     match catch_unwind(AssertUnwindSafe(run)) {
         Ok(result) => result.map_err(Fault::Pipeline),
         Err(payload) => Err(Fault::panic(&panic_text(payload.as_ref()))),

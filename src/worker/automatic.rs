@@ -138,7 +138,7 @@ impl Model<'_> {
     pub fn why_start_factor(&self) -> String {
         let Row { kind, start_factor, .. } = self.row();
         format!(
-            "default: {start_factor} for {kind}, {} where that is most of it",
+            "default: {start_factor} for {kind}, {} where that is more than a third of it",
             PLAIN.start_factor
         )
     }

@@ -1,19 +1,21 @@
 //! The optimization of one level, seen from outside: what its samples lack, how far it is, and when
 //! its time is over.
 
-use std::time::Instant;
-
 use crate::{
     jobs::event::EnergySample,
     mesh::{Edit, EditMesh, Mesh},
+    tape::{Question, Tape},
 };
 
-use super::{budget::Budget, critic::Critic, recorder::after};
+use super::{budget::Budget, critic::Critic};
 
 /// The unseen views are drawn at the start, after this many evaluations for each triangle, each time
 /// that the evaluations have grown by [`GROWTH`], and at the end.
 const FIRST_LOOK: u64 = 16;
 const GROWTH: u64 = 4;
+
+/// Of the kind of `studio.rs`.
+const UNSEEN: Question = Question { kind: 7, print: 1 };
 
 /// See the module.
 pub struct Branch<'a> {
@@ -27,8 +29,8 @@ pub struct Branch<'a> {
     critic: &'a Critic<'a>,
     next_look: u64,
     budget: Budget,
-    start: Instant,
-    deadline: Option<Instant>,
+    /// By the job's clock.
+    start_secs: f64,
     is_out_of_time: bool,
     first_energy: Option<u64>,
     ratio: f64,
@@ -47,8 +49,8 @@ impl<'a> Branch<'a> {
         critic: &'a Critic<'a>,
         budget: Budget,
         (evaluations_before, span): (u64, (f64, f64)),
+        start_secs: f64,
     ) -> Self {
-        let start = Instant::now();
         Self {
             level,
             d2_unseen: None,
@@ -57,8 +59,7 @@ impl<'a> Branch<'a> {
             critic,
             next_look: 0,
             budget,
-            start,
-            deadline: budget.secs.and_then(|secs| after(start, secs)),
+            start_secs,
             is_out_of_time: false,
             first_energy: None,
             ratio: 1.0,
@@ -78,8 +79,14 @@ impl<'a> Branch<'a> {
         self.is_out_of_time
     }
 
-    pub(super) fn look_at(&mut self, now: Instant) {
-        self.is_out_of_time |= self.deadline.is_some_and(|d| now >= d);
+    /// Whether its seconds are limited.
+    pub(super) fn is_limited(&self) -> bool {
+        self.budget.secs.is_some()
+    }
+
+    /// It is so late, by the job's clock.
+    pub(super) fn look_at(&mut self, now_secs: f64) {
+        self.is_out_of_time |= self.budget.secs.is_some_and(|s| now_secs >= self.start_secs + s);
     }
 
     pub(super) fn follow(&mut self, edit: Edit<'_>) {
@@ -91,7 +98,7 @@ impl<'a> Branch<'a> {
     }
 
     /// Adds to a sample what only the whole job knows.
-    pub(super) fn complete(&mut self, sample: &mut EnergySample) {
+    pub(super) fn complete(&mut self, sample: &mut EnergySample, tape: &Tape) {
         self.reached(sample.evaluations);
         if let Some(energy) = sample.energy {
             self.first_energy.get_or_insert(energy);
@@ -101,7 +108,7 @@ impl<'a> Branch<'a> {
         if sample.evaluations >= self.next_look {
             let first = FIRST_LOOK * self.mesh.faces.len() as u64;
             self.next_look = first.max(GROWTH * sample.evaluations);
-            sample.d2_unseen = Some(self.judge());
+            sample.d2_unseen = Some(self.judge(tape));
         }
         sample.level = Some(self.level);
         sample.evaluations += self.evaluations_before;
@@ -114,16 +121,16 @@ impl<'a> Branch<'a> {
     }
 
     /// d2 of the mesh as it is now, on unseen views.
-    pub(super) fn judge(&mut self) -> f64 {
-        let now = self.critic.d2_percent(&self.mirror.snapshot());
+    pub(super) fn judge(&mut self, tape: &Tape) -> f64 {
+        let now = tape.known(UNSEEN, || self.critic.d2_percent(&self.mirror.snapshot()));
         self.d2_unseen = Some([self.d2_unseen.map_or(now, |d2| d2[0]), now]);
         now
     }
 
     /// How much of the stage is done, 0 to 1: by whichever limit is nearest.
-    pub(super) fn done(&self, now: Instant) -> f64 {
+    pub(super) fn done(&self, now_secs: f64) -> f64 {
         let by_evaluations = self.budget.evaluations.map(|n| self.evaluations as f64 / n as f64);
-        let by_secs = self.budget.secs.map(|s| now.duration_since(self.start).as_secs_f64() / s);
+        let by_secs = self.budget.secs.map(|s| (now_secs - self.start_secs) / s);
         let by_energy = self.budget.until.map(|u| self.ratio.ln() / u.ln());
         let nearest = [by_evaluations, by_secs, by_energy].into_iter().flatten();
         let done = nearest.filter(|d| d.is_finite()).fold(0.0, f64::max).min(1.0);

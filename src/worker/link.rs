@@ -3,12 +3,14 @@
 use std::{path::Path, time::Duration};
 
 use futures::stream;
+use prost::bytes::Bytes;
 use tokio::{
     io::AsyncReadExt,
     time::{Instant, timeout},
 };
 use tonic::{Response, Status};
 
+use super::build::build;
 use crate::{
     jobs::{
         lease::Lease,
@@ -77,6 +79,7 @@ impl Link {
             worker: worker.into(),
             version: env!("CARGO_PKG_VERSION").into(),
             wait_secs: CLAIM_WAIT_SECS,
+            build: build().into(),
         };
         let late = |_| Status::deadline_exceeded("the claim was not answered");
         let answer = timeout(CALL, self.client.clone().claim(request)).await.map_err(late)??;
@@ -151,6 +154,52 @@ impl Link {
         };
         self.answered(TRANSFER, call).await?;
         Ok(())
+    }
+
+    /// Sends piece number `n` of the checkpoint.
+    pub async fn put_piece(&self, lease: &Lease, n: u32, piece: &Bytes) -> Result<(), LinkError> {
+        use wire::put_checkpoint_request::Part;
+        let header = wire::PutCheckpointHeader {
+            lease: Some(convert::lease_to_wire(lease)),
+            piece: n,
+            size: piece.len() as u64,
+            blake3: blake3::hash(piece).to_hex().to_string(),
+            build: build().into(),
+        };
+        let chunk = |at: usize| piece.slice(at..piece.len().min(at + CHUNK));
+        let chunks = (0..piece.len()).step_by(CHUNK).map(|at| Part::Chunk(chunk(at)));
+        let parts: Vec<_> = std::iter::once(Part::Header(header)).chain(chunks).collect();
+        let call = |mut client: WorkerServiceClient<Connection>| {
+            let request = |part| wire::PutCheckpointRequest { part: Some(part) };
+            let parts = stream::iter(parts.clone().into_iter().map(request));
+            async move { client.put_checkpoint(parts).await }
+        };
+        self.answered(TRANSFER, call).await?;
+        Ok(())
+    }
+
+    /// The pieces of the checkpoint that the attempt goes on from.
+    pub async fn fetch_checkpoint(&self, lease: &Lease) -> Result<Vec<Vec<u8>>, LinkError> {
+        let request = wire::FetchCheckpointRequest { lease: Some(convert::lease_to_wire(lease)) };
+        let call = |mut client: WorkerServiceClient<Connection>| {
+            let request = request.clone();
+            async move {
+                let mut chunks = client.fetch_checkpoint(request).await?.into_inner();
+                let mut pieces: Vec<Vec<u8>> = Vec::new();
+                while let Some(chunk) = chunks.message().await? {
+                    if chunk.piece as usize >= pieces.len() {
+                        pieces.push(Vec::new());
+                    }
+                    pieces
+                        .iter_mut()
+                        .last()
+                        .iter_mut()
+                        .for_each(|p| p.extend_from_slice(&chunk.data));
+                }
+                Ok(Response::new(pieces))
+            }
+        };
+        self.answered(TRANSFER, call).await
     }
 
     /// Ends the attempt.

@@ -1,6 +1,6 @@
 //! Image-driven optimization of the levels, one after the other, finest first.
 
-use std::{ops::ControlFlow, time::Instant};
+use std::ops::ControlFlow;
 
 use crate::{
     memoryless,
@@ -34,7 +34,7 @@ pub(super) fn run<'j>(
     if triangles.iter().all(|n| *n == 0) || recorder.is_out_of_time() {
         return Ok(None);
     }
-    let mut figures = StageFigures::prepare(Stage::Optimize);
+    let mut figures = StageFigures::prepare(Stage::Optimize, recorder.clock().read());
     recorder.enter(Stage::Optimize, 0, 0);
     if job.spec.optimize.normals {
         job.studio.use_own_normals();
@@ -48,7 +48,7 @@ pub(super) fn run<'j>(
         }
         done += share;
     }
-    Ok(Some(figures.end()))
+    Ok(Some(figures.end(recorder.clock().read())))
 }
 
 /// Optimizes one level.
@@ -59,13 +59,20 @@ fn optimize<'j>(
     recorder: &mut Recorder<'j>,
     figures: &mut StageFigures,
 ) -> Result<(), PipelineError> {
-    let start = Instant::now();
+    let start_secs = recorder.clock().read();
     let mut mesh = editable(&level.mesh, &level.marks)?;
     let critic = job.critic.get_or_init(|| Critic::new(job.spec, job.original));
     let begun = (level.mesh.clone(), editable(&level.mesh, &Marks::default())?);
-    let branch =
-        Branch::new(level.index as u32, begun, critic, budget, (figures.evaluations, span));
-    figures.start(&job.studio.evaluator(&mesh, recorder)?);
+    let branch = Branch::new(
+        level.index as u32,
+        begun,
+        critic,
+        budget,
+        (figures.evaluations, span),
+        start_secs,
+    );
+    let evaluator = job.studio.evaluator(&mesh, recorder)?;
+    figures.start(&evaluator, recorder.clock().read());
     recorder.begin_branch(&level.name(), branch)?;
     let mut outcome = optimize_mesh(job, &mut mesh, &budget, recorder)?;
     if !recorder.is_out_of_time() {
@@ -83,7 +90,7 @@ fn optimize<'j>(
     level.energy = Some(energy);
     level.d2 = Some(d2);
     level.optimized = Some(Optimized {
-        seconds: start.elapsed().as_secs_f64(),
+        seconds: recorder.clock().read() - start_secs,
         edits,
         d2_unseen_percent: branch.and_then(|b| b.d2_unseen),
         ..optimized(&outcome)
@@ -139,7 +146,8 @@ fn optimize_mesh(
     let studio = &*studio;
     let mut show = |set: usize, mesh: &EditMesh| Ok(studio.show(set, mesh)?);
     let mut on = |step: Step<'_>| recorder.step(&step);
-    alternate(mesh, &params, turns, &studio.sets()[..n_sets], &mut show, &mut on)
+    let known = (&studio.sets()[..n_sets], studio.tape());
+    alternate(mesh, &params, turns, known, &mut show, &mut on)
 }
 
 fn optimized(outcome: &Outcome) -> Optimized {

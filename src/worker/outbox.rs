@@ -3,11 +3,13 @@
 //! 1. Events go in batches of at most 100 ms, 100 events or 1 MiB of records; a batch is repeated
 //!    unchanged until it is acknowledged.
 //! 2. A file is stored before the event that tells of it is sent.
+//! 3. A piece of the checkpoint is sent when all events before it are acknowledged, and before any event after it.
 //!
 //! While the server is away the channel fills and then the pipeline waits: memory stays bounded.
 
 use std::{path::PathBuf, time::Duration};
 
+use prost::bytes::Bytes;
 use tokio::{
     sync::{mpsc, watch},
     time::{Instant, timeout_at},
@@ -55,29 +57,52 @@ pub struct Outbox {
     pub n_sent: u64,
     /// Files stored.
     pub files: Vec<String>,
+    /// Pieces of the checkpoint stored, those of the attempts before included.
+    pub n_pieces: u32,
+}
+
+/// What the pipeline's thread sends.
+#[derive(Debug)]
+pub enum Parcel {
+    /// For the event log.
+    Report(Report),
+    /// The next piece of the checkpoint: all reports before it belong to it.
+    Piece(Vec<u8>),
 }
 
 impl Outbox {
     /// Sends what arrives until the channel closes.
-    pub async fn run(&mut self, reports: &mut mpsc::Receiver<Report>) -> Result<(), LinkError> {
-        while let Some(first) = reports.recv().await {
+    pub async fn run(&mut self, parcels: &mut mpsc::Receiver<Parcel>) -> Result<(), LinkError> {
+        while let Some(first) = parcels.recv().await {
             let deadline = Instant::now() + MAX_DELAY;
-            let mut batch = Batch::default();
+            let (mut batch, mut piece) = (Batch::default(), None);
             let mut next = Some(first);
-            while let Some(report) = next {
-                if let Report::Artifact { name, media_type, .. } = &report {
-                    self.store(name, media_type).await?;
+            while let Some(parcel) = next {
+                match parcel {
+                    Parcel::Report(report) => self.add(&mut batch, report).await?,
+                    Parcel::Piece(bytes) => piece = Some(Bytes::from(bytes)),
                 }
-                batch.add(report);
-                let room = !batch.is_full();
-                next = if room {
-                    timeout_at(deadline, reports.recv()).await.ok().flatten()
+                let has_room = piece.is_none() && !batch.is_full();
+                next = if has_room {
+                    timeout_at(deadline, parcels.recv()).await.ok().flatten()
                 } else {
                     None
                 };
             }
             self.send(batch).await?;
+            if let Some(piece) = piece {
+                self.link.put_piece(&self.lease, self.n_pieces, &piece).await?;
+                self.n_pieces += 1;
+            }
         }
+        Ok(())
+    }
+
+    async fn add(&mut self, batch: &mut Batch, report: Report) -> Result<(), LinkError> {
+        if let Report::Artifact { name, media_type, .. } = &report {
+            self.store(name, media_type).await?;
+        }
+        batch.add(report);
         Ok(())
     }
 
@@ -95,6 +120,9 @@ impl Outbox {
     }
 
     async fn send(&mut self, batch: Batch) -> Result<(), LinkError> {
+        if batch.events.is_empty() {
+            return Ok(());
+        }
         let appended = self.link.append(&self.lease, self.n_sent, batch.events).await?;
         self.n_sent = appended.held;
         if appended.cancel_requested {

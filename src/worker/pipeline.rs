@@ -10,7 +10,6 @@ use std::{
     path::Path,
     sync::{Arc, OnceLock},
     thread,
-    time::Instant,
 };
 
 use crate::{
@@ -25,6 +24,7 @@ use crate::{
     progressive::ProgressiveError,
     render::RenderError,
     simplify::SimplifyError,
+    tape::Tape,
 };
 
 use super::{
@@ -124,7 +124,7 @@ pub type Pipeline = fn(
     &Spec,
     &Inputs<'_>,
     &Path,
-    &DeviceChoice,
+    (&DeviceChoice, &Tape),
     &mut dyn FnMut(Report) -> ControlFlow<()>,
 ) -> Result<(), PipelineError>;
 
@@ -143,15 +143,14 @@ pub(super) struct Job<'j> {
 }
 
 /// Runs the whole job: reads its inputs, writes every artifact into `out_dir`, and tells `on` of
-/// each step. `Break` from `on` cancels.
+/// each step that is not on the tape. `Break` from `on` cancels.
 pub fn run(
     asked: &Spec,
     inputs: &Inputs<'_>,
     out_dir: &Path,
-    device: &DeviceChoice,
+    (device, tape): (&DeviceChoice, &Tape),
     on: &mut dyn FnMut(Report) -> ControlFlow<()>,
 ) -> Result<(), PipelineError> {
-    let start = Instant::now();
     let read = |file: &ModelFile<'_>| io::read(file.name, file.bytes, &io::Limits::default());
     let (original, simplified) =
         (read(&inputs.original)?, inputs.simplified.as_ref().map(read).transpose()?);
@@ -164,7 +163,7 @@ pub fn run(
     let (critic, gauge) = (OnceLock::new(), Gauge::new(&original, params::glb_options(spec)));
     let base = simplifying::base(spec, &original, simplified.as_ref());
     let marks = simplifying::marks(spec, &base, (asked_marks, simplified.as_ref()));
-    let mut recorder = Recorder::new(spec, &base, start, on)?;
+    let mut recorder = Recorder::new(spec, &base, tape, on)?;
     recorder.announce("model", &ingest)?;
     if asked.topology != spec.topology {
         recorder.note("TOPOLOGY_CHOSEN", chosen_topology(spec.topology))?;
@@ -185,7 +184,7 @@ pub fn run(
     let (levels, n_unseen) = thread::scope(|scope| {
         let plan = Plan::new(spec, n_coarsest);
         let drawn = draw_ahead(scope, plan, (spec, &original), pictures.clone(), &critic);
-        let studio = Studio::new(&original, (pictures, palette), drawn, device);
+        let studio = Studio::new(&original, (pictures, palette), drawn, (device, tape));
         let mut job = Job { spec, original: &original, studio, gauge: &gauge, critic: &critic };
         let mut levels = simplifying::run(&mut job, (base, marks), &mut recorder, &mut figures)?;
         facts.n_optimized = levels.simplified().map(|level| level.mesh.faces.len()).sum();
@@ -202,7 +201,6 @@ pub fn run(
         facts,
         gauge: &gauge,
         figures: &figures,
-        start,
         n_unseen,
     };
     results::write_all(out_dir, &original, &levels, &mut recorder, &attempt)

@@ -4,12 +4,10 @@
 //! Invariants:
 //! 1. collapses of the chain and edits of each level are separate lists of records, each streamed in
 //!    order, without gaps;
-//! 2. samples of a stage count its evaluations over all levels.
+//! 2. samples of a stage count its evaluations over all levels;
+//! 3. what an attempt does again after a lost one, which told of it, is kept but not told.
 
-use std::{
-    ops::ControlFlow,
-    time::{Duration, Instant},
-};
+use std::{ops::ControlFlow, time::Instant};
 
 use crate::{
     io::IngestReport,
@@ -19,9 +17,10 @@ use crate::{
     },
     mesh::{Edit, Mesh, Sample, Stage, Step},
     progressive::{ProgressiveError, Writer, encode_edit},
+    tape::Tape,
 };
 
-use super::{branch::Branch, pipeline::PipelineError, progress::Progress};
+use super::{branch::Branch, clock::Clock, pipeline::PipelineError, progress::Progress};
 
 /// Records are streamed in chunks of so many.
 const RECORDS_PER_CHUNK: u32 = 512;
@@ -29,8 +28,10 @@ const RECORDS_PER_CHUNK: u32 = 512;
 /// The recorder of one attempt.
 pub struct Recorder<'a> {
     on: &'a mut dyn FnMut(Report) -> ControlFlow<()>,
-    start: Instant,
-    deadline: Option<Instant>,
+    tape: Tape,
+    clock: Clock,
+    /// By the clock.
+    deadline_secs: Option<f64>,
     /// Every record of the attempt, in order.
     writer: Writer,
     writer_fault: Option<ProgressiveError>,
@@ -55,14 +56,15 @@ impl<'a> Recorder<'a> {
     pub fn new(
         spec: &Spec,
         base: &Mesh,
-        start: Instant,
+        tape: &Tape,
         on: &'a mut dyn FnMut(Report) -> ControlFlow<()>,
     ) -> Result<Self, PipelineError> {
         let cap = (spec.max_secs > 0.0).then_some(spec.max_secs);
         Ok(Self {
             on,
-            start,
-            deadline: cap.and_then(|secs| after(start, secs)),
+            tape: tape.clone(),
+            clock: Clock::new(tape),
+            deadline_secs: cap,
             writer: Writer::new(base)?,
             writer_fault: None,
             pending: Vec::new(),
@@ -71,7 +73,7 @@ impl<'a> Recorder<'a> {
             samples: Vec::new(),
             is_cancelled: false,
             is_out_of_time: false,
-            progress: Progress::new(spec, start),
+            progress: Progress::new(spec, Instant::now()),
             stage: Stage::Memoryless,
             stage_span: (0, 0),
             n_faces: base.faces.len(),
@@ -114,10 +116,13 @@ impl<'a> Recorder<'a> {
     }
 
     fn tell(&mut self, report: Report) -> Result<(), PipelineError> {
-        if (self.on)(report).is_break() {
-            self.is_cancelled = true;
-        }
+        let _ = self.report(report);
         self.check()
+    }
+
+    /// The time of the job.
+    pub fn clock(&self) -> &Clock {
+        &self.clock
     }
 
     /// A stage begins; if it simplifies, from so many triangles down to so many.
@@ -137,19 +142,36 @@ impl<'a> Recorder<'a> {
         if let Some(fault) = self.writer_fault.take() {
             return Err(fault.into());
         }
+        if let Some(fault) = self.tape.fault() {
+            let text = format!("the checkpoint is not of this job and program: {fault}");
+            return Err(PipelineError::Machine(text));
+        }
         if self.is_cancelled { Err(PipelineError::Cancelled) } else { Ok(()) }
     }
 
     /// Takes a step of a stage.
     pub fn step(&mut self, step: &Step<'_>) -> ControlFlow<()> {
+        self.look_at_clock();
         match step {
-            Step::Edit(edit) => self.edit(*edit),
-            Step::Sample(sample) => self.sample(sample),
-            Step::Moves(moves) => self.moves(moves),
+            Step::Edit(edit) => self.edit(*edit)?,
+            Step::Sample(sample) => self.sample(sample)?,
+            Step::Moves(moves) => self.moves(moves)?,
             Step::Progress { done, .. } => {
                 self.branch.iter_mut().for_each(|b| b.reached(*done));
-                self.progress()
+                self.progress()?;
             }
+        }
+        let goes_on = !self.is_out_of_time() && self.tape.fault().is_none();
+        if goes_on { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+    }
+
+    /// Finds out whether time is over, where it is limited.
+    fn look_at_clock(&mut self) {
+        let is_limited = |branch: &Branch<'_>| branch.is_limited();
+        if self.deadline_secs.is_some() || self.branch.as_ref().is_some_and(is_limited) {
+            let secs = self.clock.read();
+            self.is_out_of_time |= self.deadline_secs.is_some_and(|deadline| secs >= deadline);
+            self.branch.iter_mut().for_each(|b| b.look_at(secs));
         }
     }
 
@@ -183,7 +205,7 @@ impl<'a> Recorder<'a> {
         let mut told = EnergySample {
             stage: sample.stage.name().into(),
             evaluations: sample.evaluations,
-            seconds: self.start.elapsed().as_secs_f64(),
+            seconds: self.clock.read(),
             triangles: sample.triangles,
             energy: sample.energy,
             d2: sample.d2,
@@ -194,7 +216,7 @@ impl<'a> Recorder<'a> {
         };
         if let Some(branch) = &mut self.branch {
             told.turn = Some(sample.turn);
-            branch.complete(&mut told);
+            branch.complete(&mut told, &self.tape);
         }
         self.samples.push(told.clone());
         self.report(Report::Sample(told))
@@ -255,7 +277,7 @@ impl<'a> Recorder<'a> {
             // Time may have run out in a turn of other views, which no sample has told of.
             let is_higher = last.energy.is_some_and(|before| energy > before);
             told.turn = last.turn.map(|turn| turn + u32::from(is_higher));
-            told.d2_unseen = Some(branch.judge());
+            told.d2_unseen = Some(branch.judge(&self.tape));
             self.samples.push(told.clone());
             self.tell(Report::Sample(told))?;
         }
@@ -271,24 +293,21 @@ impl<'a> Recorder<'a> {
     }
 
     fn report(&mut self, report: Report) -> ControlFlow<()> {
-        if (self.on)(report).is_break() {
+        let is_known = self.tape.is_replaying() && !matches!(report, Report::Progress { .. });
+        if !is_known && (self.on)(report).is_break() {
             self.is_cancelled = true;
             return ControlFlow::Break(());
         }
-        let now = Instant::now();
-        self.is_out_of_time |= self.deadline.is_some_and(|d| now >= d);
-        self.branch.iter_mut().for_each(|b| b.look_at(now));
-        if self.is_out_of_time() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        ControlFlow::Continue(())
     }
 
     fn progress(&mut self) -> ControlFlow<()> {
-        let now = Instant::now();
         let (from, to) = self.stage_span;
         let done = match &self.branch {
-            Some(branch) => branch.done(now),
+            Some(branch) => branch.done(self.clock.glance()),
             None => from.saturating_sub(self.n_faces) as f64 / (from - to).max(1) as f64,
         };
-        match self.progress.tell(now, done) {
+        match self.progress.tell(Instant::now(), done) {
             Some(report) => self.report(report),
             None => ControlFlow::Continue(()),
         }
@@ -305,9 +324,4 @@ pub(super) fn counts(moves: &[crate::mesh::MoveCount]) -> Vec<MoveCount> {
         reduction: m.reduction,
     };
     moves.iter().map(count).collect()
-}
-
-/// So many seconds later; `None` where that is beyond all clocks.
-pub(super) fn after(then: Instant, secs: f64) -> Option<Instant> {
-    Duration::try_from_secs_f64(secs).ok().and_then(|d| then.checked_add(d))
 }

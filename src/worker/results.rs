@@ -1,6 +1,6 @@
 //! The files of a result.
 
-use std::{fmt::Write as _, fs, path::Path, time::Instant};
+use std::{fmt::Write as _, fs, path::Path};
 
 use serde::Serialize;
 
@@ -49,15 +49,16 @@ pub struct StageFigures {
     pub collapses: u64,
     /// Edits made by optimization.
     pub edits: u64,
+    /// By the job's clock.
     #[serde(skip)]
-    prepared: Instant,
+    prepared_secs: f64,
     #[serde(skip)]
-    begun: Option<Instant>,
+    begun_secs: Option<f64>,
 }
 
 impl StageFigures {
-    /// A stage gets ready.
-    pub fn prepare(stage: Stage) -> Self {
+    /// A stage gets ready; now, as everywhere here, by the job's clock.
+    pub fn prepare(stage: Stage, now_secs: f64) -> Self {
         Self {
             stage: stage.name(),
             device: String::new(),
@@ -67,24 +68,24 @@ impl StageFigures {
             evaluations_per_second: 0.0,
             collapses: 0,
             edits: 0,
-            prepared: Instant::now(),
-            begun: None,
+            prepared_secs: now_secs,
+            begun_secs: None,
         }
     }
 
     /// It is ready: set-up is over. Only the first call counts.
-    pub fn start(&mut self, device: &str) {
-        if self.begun.is_none() {
+    pub fn start(&mut self, device: &str, now_secs: f64) {
+        if self.begun_secs.is_none() {
             self.device = device.into();
-            self.begun = Some(Instant::now());
-            self.setup_secs = self.prepared.elapsed().as_secs_f64();
+            self.begun_secs = Some(now_secs);
+            self.setup_secs = now_secs - self.prepared_secs;
         }
     }
 
     /// A stage without set-up begins.
-    pub fn begin(stage: Stage, device: &str) -> Self {
-        let mut figures = Self::prepare(stage);
-        figures.start(device);
+    pub fn begin(stage: Stage, device: &str, now_secs: f64) -> Self {
+        let mut figures = Self::prepare(stage, now_secs);
+        figures.start(device, now_secs);
         figures
     }
 
@@ -96,9 +97,9 @@ impl StageFigures {
 
     /// The stage is over.
     #[must_use]
-    pub fn end(mut self) -> Self {
-        let running = self.begun.map_or(0.0, |b| b.elapsed().as_secs_f64());
-        self.seconds = self.prepared.elapsed().as_secs_f64();
+    pub fn end(mut self, now_secs: f64) -> Self {
+        let running = self.begun_secs.map_or(0.0, |begun| now_secs - begun);
+        self.seconds = now_secs - self.prepared_secs;
         self.evaluations_per_second = self.evaluations as f64 / running.max(1e-9);
         self
     }
@@ -116,8 +117,6 @@ pub(super) struct Attempt<'a> {
     pub gauge: &'a Gauge<'a>,
     /// What the stages cost.
     pub figures: &'a [StageFigures],
-    /// When the attempt began.
-    pub start: Instant,
     /// Triangles of the original that no run-time view sees, if they were drawn.
     pub n_unseen: Option<usize>,
 }
@@ -212,7 +211,7 @@ pub(super) fn write_all(
         levels: reports,
         stages: attempt.figures,
         records: out.recorder.n_records(),
-        seconds: attempt.start.elapsed().as_secs_f64(),
+        seconds: out.recorder.clock().glance(),
     };
     let json = serde_json::to_vec_pretty(&report)
         .map_err(|e| PipelineError::Machine(format!("cannot write report.json: {e}")))?;

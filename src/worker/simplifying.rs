@@ -140,20 +140,21 @@ fn memoryless_stage(
     course: &mut Course<'_, '_>,
     Spread { coarsest, image_start }: Spread,
 ) -> Result<StageFigures, PipelineError> {
-    let figures = StageFigures::begin(Stage::Memoryless, "native");
+    let now = course.recorder.clock().read();
+    let figures = StageFigures::begin(Stage::Memoryless, "native", now);
     let floor = match spec.method {
         Method::Image => image_start,
         Method::Memoryless | Method::Cluster => 0,
     };
     course.recorder.enter(Stage::Memoryless, mesh.n_faces(), floor.max(coarsest));
     if course.levels.is_complete() || mesh.n_faces() <= floor {
-        return Ok(figures.end());
+        return Ok(figures.end(now));
     }
     let params = params::memoryless(spec);
     let simplifier = memoryless::Simplifier::new(mesh, &params);
     let mut stage = Geometric { simplifier, figures };
     course.follow(&mut stage, floor)?;
-    Ok(stage.figures.end())
+    Ok(stage.figures.end(course.recorder.clock().read()))
 }
 
 struct Geometric<'a> {
@@ -189,8 +190,9 @@ fn image_stage(
     course: &mut Course<'_, '_>,
     Spread { coarsest, .. }: Spread,
 ) -> Result<StageFigures, PipelineError> {
-    let mut figures = StageFigures::prepare(Stage::Image);
-    figures.start(&job.studio.evaluator(mesh, course.recorder)?);
+    let mut figures = StageFigures::prepare(Stage::Image, course.recorder.clock().read());
+    let evaluator = job.studio.evaluator(mesh, course.recorder)?;
+    figures.start(&evaluator, course.recorder.clock().read());
     let mut objective = job.studio.show(0, mesh)?;
     course.recorder.enter(Stage::Image, mesh.n_faces(), coarsest);
     let params = params::image(job.spec);
@@ -199,7 +201,7 @@ fn image_stage(
     course.follow(&mut stage, 0)?;
     let mut figures = stage.figures;
     figures.evaluations = objective.evaluations();
-    Ok(figures.end())
+    Ok(figures.end(course.recorder.clock().read()))
 }
 
 struct ImageDriven<'a, 'm> {

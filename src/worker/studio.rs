@@ -9,13 +9,17 @@ use crate::{
     metric::{
         Objective, Palette, Pictures, ViewSet, bounding_sphere, pictures_and_unseen, scene_as_drawn,
     },
-    render::{self, RenderError, Scene, choose},
+    render::{self, Maker, RenderError, Scene, Taped, choose, make_evaluator},
+    tape::{Question, Tape},
 };
 
 use super::{
     pipeline::{DeviceChoice, PipelineError},
     recorder::Recorder,
 };
+
+/// 0 to 6: `render/taped.rs`, `optimize/alternate.rs`, `clock.rs`.
+const MEASURED: Question = Question::of(7);
 
 /// The name by which the native twin is asked for, and the one it gives itself.
 const TWIN: (&str, &str) = ("cpu", "native");
@@ -36,6 +40,7 @@ pub(super) struct Studio<'m> {
     /// What the fastest calls itself, once it was measured.
     evaluator: Option<String>,
     has_own_normals: bool,
+    tape: Tape,
 }
 
 impl<'m> Studio<'m> {
@@ -45,7 +50,7 @@ impl<'m> Studio<'m> {
         original: &'m Mesh,
         (base, palette): (Pictures, Arc<Palette>),
         drawn: Receiver<ViewSet>,
-        device: &DeviceChoice,
+        (device, tape): (&DeviceChoice, &Tape),
     ) -> Self {
         Self {
             original,
@@ -57,7 +62,13 @@ impl<'m> Studio<'m> {
             device: device.0.clone(),
             evaluator: None,
             has_own_normals: false,
+            tape: tape.clone(),
         }
+    }
+
+    /// What is known already.
+    pub fn tape(&self) -> &Tape {
+        &self.tape
     }
 
     /// From now on vertex normals are those that meshes have as an attribute.
@@ -85,8 +96,10 @@ impl<'m> Studio<'m> {
             self.add_set();
         }
         let ViewSet { pictures, reference, .. } = &self.sets[0];
-        let drawn = render::reference(&self.scene(mesh, pictures));
-        render::energy(&pictures.views, reference, &drawn.pictures)
+        self.tape.known(MEASURED, || {
+            let drawn = render::reference(&self.scene(mesh, pictures));
+            render::energy(&pictures.views, reference, &drawn.pictures)
+        })
     }
 
     /// Who computes: measured with this mesh, and told, when it is first asked. Draws the run-time views
@@ -122,8 +135,10 @@ impl<'m> Studio<'m> {
     pub fn show(&self, set: usize, mesh: &EditMesh) -> Result<Objective, RenderError> {
         let ViewSet { pictures, reference, .. } = &self.sets[set];
         let scene = self.scene(mesh, pictures);
-        let choice = choose(&self.device, &scene, reference.clone())?;
-        let objective = Objective::new(mesh, &pictures.palette, scene, choice.evaluator);
+        let (device, shown) = (self.device.clone(), reference.clone());
+        let make: Maker = Box::new(move |scene| make_evaluator(&device, scene, shown.clone()));
+        let evaluator = Box::new(Taped::new(&self.tape, &scene, make)?);
+        let objective = Objective::new(mesh, &pictures.palette, scene, evaluator);
         let objective = objective.with_reference(reference.clone());
         Ok(if self.has_own_normals { objective.with_own_normals() } else { objective })
     }

@@ -120,7 +120,7 @@ fn cancelling_stops_the_job_at_once() {
         &spec,
         &Inputs::of("sample.glb", &sample(6000)),
         dir.path(),
-        &device,
+        (&device, &lookalike::tape::Tape::off()),
         &mut |_| {
             reports += 1;
             if reports == 5 {

@@ -17,5 +17,6 @@ mod locks;
 mod looks;
 mod optimizing;
 mod quality;
+mod resuming;
 mod support;
 mod topology;

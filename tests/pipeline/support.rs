@@ -10,6 +10,7 @@ use lookalike::{
         spec::{Optimize, Spec},
     },
     progressive::Reader,
+    tape::Tape,
     worker::pipeline::{DeviceChoice, Inputs, PipelineError, run},
 };
 
@@ -57,17 +58,29 @@ pub fn job(spec: &Spec, name: &str, input: &[u8], device: &str) -> Done {
 
 /// The same on any inputs.
 pub fn job_on(spec: &Spec, inputs: &Inputs<'_>, device: &str) -> Done {
+    job_with(spec, inputs, (device, &Tape::off(), false), |_| ())
+}
+
+/// The same with what the tape knows, which may be where a run was that goes on here; `hear` hears every report.
+pub fn job_with(
+    spec: &Spec,
+    inputs: &Inputs<'_>,
+    (device, tape, goes_on): (&str, &Tape, bool),
+    mut hear: impl FnMut(&Report),
+) -> Done {
     let dir = tempfile::tempdir().unwrap();
     let mut notes = Vec::new();
     let mut counts: BTreeMap<Option<u32>, u64> = BTreeMap::new();
     let mut edits: BTreeMap<u32, Vec<u8>> = BTreeMap::new();
     let mut samples = Vec::new();
     let device = DeviceChoice(device.into());
-    let result = run(spec, inputs, dir.path(), &device, &mut |report| {
+    let result = run(spec, inputs, dir.path(), (&device, tape), &mut |report| {
+        hear(&report);
         match report {
             Report::Note { code, text } => notes.push((code, text)),
             Report::Records { level, first, count, bytes } => {
-                let n = counts.entry(level).or_default();
+                // The first of them were told before.
+                let n = counts.entry(level).or_insert(if goes_on { first } else { 0 });
                 assert_eq!(first, *n, "records come in order, without gaps");
                 assert_eq!(count_records(&bytes), count);
                 *n += u64::from(count);

@@ -134,7 +134,7 @@ fn claim(worker: &str) -> wire::ClaimRequest {
     wire::ClaimRequest {
         worker: worker.into(),
         version: env!("CARGO_PKG_VERSION").into(),
-        wait_secs: 0.0,
+        ..Default::default()
     }
 }
 
@@ -149,6 +149,13 @@ fn artifact(lease: &wire::Lease) -> Vec<wire::PutArtifactRequest> {
     };
     let parts = [Part::Header(header), Part::Chunk(b"x".to_vec().into())];
     parts.map(|part| wire::PutArtifactRequest { part: Some(part) }).into()
+}
+
+fn piece(lease: &wire::Lease) -> Vec<wire::PutCheckpointRequest> {
+    use wire::put_checkpoint_request::Part;
+    let header = wire::PutCheckpointHeader { lease: Some(lease.clone()), ..Default::default() };
+    let parts = [Part::Header(header), Part::Chunk(b"x".to_vec().into())];
+    parts.map(|part| wire::PutCheckpointRequest { part: Some(part) }).into()
 }
 
 /// Calls a method of the public API about `job`, or about the job that is `done`.
@@ -204,6 +211,13 @@ async fn work(worker: &mut Worker, method: &str, caller: &str) -> Code {
         "PutArtifact" => {
             worker.put_artifact(futures::stream::iter(artifact(&lease))).await.map(drop)
         }
+        "PutCheckpoint" => {
+            worker.put_checkpoint(futures::stream::iter(piece(&lease))).await.map(drop)
+        }
+        "FetchCheckpoint" => {
+            let request = wire::FetchCheckpointRequest { lease: held };
+            worker.fetch_checkpoint(request).await.map(drop)
+        }
         "Complete" => {
             let outcome =
                 Some(wire::complete_request::Outcome::Succeeded(wire::Succeeded::default()));
@@ -239,12 +253,14 @@ pub(crate) const PUBLIC: [(&str, [Code; 8]); 10] = [
 ];
 
 #[rustfmt::skip]
-const WORK: [(&str, [Code; 8]); 6] = [
+const WORK: [(&str, [Code; 8]); 8] = [
     ("Claim",         [U, U, U, P, P, P, O, O]),
     ("Heartbeat",     [U, U, U, P, P, P, F, F]),
     ("FetchMesh",     [U, U, U, P, P, P, F, F]),
     ("AppendEvents",  [U, U, U, P, P, P, F, F]),
     ("PutArtifact",   [U, U, U, P, P, P, F, F]),
+    ("PutCheckpoint",   [U, U, U, P, P, P, F, F]),
+    ("FetchCheckpoint", [U, U, U, P, P, P, F, F]),
     ("Complete",      [U, U, U, P, P, P, F, F]),
 ];
 

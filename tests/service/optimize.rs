@@ -97,6 +97,7 @@ async fn a_worker_gets_the_inputs_of_its_job_and_no_others() {
         worker: "w".into(),
         version: env!("CARGO_PKG_VERSION").into(),
         wait_secs: 5.0,
+        build: String::new(),
     };
     let lease = worker.claim(claim).await.unwrap().into_inner().assignment.unwrap().lease;
     let mut fetch = async |mesh: &str| {

@@ -9,6 +9,7 @@ use lookalike::{
         state::State,
     },
     service::{client::Access, proto::v1},
+    tape::Tape,
     worker::{
         agent::{self, WorkerConfig, WorkerError},
         pipeline::{self, DeviceChoice, Inputs, PipelineError},
@@ -28,11 +29,11 @@ fn panics_on_the_cursed(
     spec: &Spec,
     inputs: &Inputs<'_>,
     out_dir: &Path,
-    device: &DeviceChoice,
+    machine: (&DeviceChoice, &Tape),
     on: &mut dyn FnMut(Report) -> ControlFlow<()>,
 ) -> Result<(), PipelineError> {
     assert!(inputs.original.name != CURSED, "index 7 is out of bounds");
-    pipeline::run(spec, inputs, out_dir, device, on)
+    pipeline::run(spec, inputs, out_dir, machine, on)
 }
 
 /// A worker, and a fresh one whenever it ends, as a supervisor does it.

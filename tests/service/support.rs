@@ -210,6 +210,24 @@ impl Server {
     }
 
     /// Writes a file into the test's folder; its path.
+    /// All files below a folder of the data directory.
+    pub(crate) fn files_below(&self, folder: &str) -> Vec<String> {
+        let mut folders = vec![self.data_dir().join(folder)];
+        let mut files = Vec::new();
+        while let Some(folder) = folders.pop() {
+            // One that goes meanwhile has no files.
+            for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+                let path = entry.path();
+                if path.is_dir() {
+                    folders.push(path);
+                } else {
+                    files.push(path.display().to_string());
+                }
+            }
+        }
+        files
+    }
+
     pub(crate) fn file(&self, name: &str, bytes: &[u8]) -> String {
         let path = self.dir.path().join(name);
         fs::write(&path, bytes).unwrap();
@@ -389,10 +407,15 @@ fn without_seconds(csv: &[u8]) -> Vec<u8> {
 
 /// What [`JOB`] makes of the small torus, without a server.
 pub(crate) fn reference(server: &Server) -> BTreeMap<String, Vec<u8>> {
+    reference_of(server, &JOB)
+}
+
+/// The same of another job with the same mesh.
+pub(crate) fn reference_of(server: &Server, flags: &[&str]) -> BTreeMap<String, Vec<u8>> {
     let (file, out) =
         (server.file("torus.ply", &small_torus()), server.dir.path().join("reference"));
     let mut command = lookalike();
-    command.arg("run").arg(file).arg("--device=cpu").arg("--out").arg(&out).args(JOB);
+    command.arg("run").arg(file).arg("--device=cpu").arg("--out").arg(&out).args(flags);
     let output = command.output().unwrap();
     assert!(output.status.success(), "{output:?}");
     results(&out)

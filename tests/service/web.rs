@@ -466,7 +466,7 @@ async fn store_artifact(
     let claim = wire::ClaimRequest {
         worker: "w".into(),
         version: env!("CARGO_PKG_VERSION").into(),
-        wait_secs: 0.0,
+        ..Default::default()
     };
     let claimed = worker.claim(claim).await.unwrap().into_inner();
     let lease = claimed.assignment.unwrap().lease;

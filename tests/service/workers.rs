@@ -1,16 +1,19 @@
 //! The worker API over a real socket, spoken by the test itself.
 
-use lookalike::service::{
-    proto::{v1, worker::v1 as wire},
-    status::reason_of,
+use lookalike::{
+    jobs::event::{Body, ServerEvent},
+    service::{
+        proto::{v1, worker::v1 as wire},
+        status::reason_of,
+    },
 };
 use tonic::{Code, Status};
 
-use crate::support::{Server, create, job};
+use crate::support::{Server, create, job, log};
 
 fn claim_as(worker: &str) -> wire::ClaimRequest {
     let version = env!("CARGO_PKG_VERSION").into();
-    wire::ClaimRequest { worker: worker.into(), version, wait_secs: 5.0 }
+    wire::ClaimRequest { worker: worker.into(), version, wait_secs: 5.0, build: "b".into() }
 }
 
 async fn claim(server: &Server, worker: &str) -> wire::Assignment {
@@ -31,6 +34,19 @@ fn artifact(lease: &wire::Lease, bytes: &'static [u8]) -> [wire::PutArtifactRequ
         .map(|part| wire::PutArtifactRequest { part: Some(part) })
 }
 
+fn piece(lease: &wire::Lease, n: u32, bytes: &'static [u8]) -> [wire::PutCheckpointRequest; 2] {
+    use wire::put_checkpoint_request::Part;
+    let header = wire::PutCheckpointHeader {
+        lease: Some(lease.clone()),
+        piece: n,
+        size: bytes.len() as u64,
+        blake3: blake3::hash(bytes).to_hex().to_string(),
+        build: "b".into(),
+    };
+    [Part::Header(header), Part::Chunk(bytes.into())]
+        .map(|part| wire::PutCheckpointRequest { part: Some(part) })
+}
+
 /// Every call that a worker can make on a job.
 pub(crate) async fn every_call(server: &Server, lease: &wire::Lease) -> Vec<Result<(), Status>> {
     let mut client = server.worker_client();
@@ -39,6 +55,8 @@ pub(crate) async fn every_call(server: &Server, lease: &wire::Lease) -> Vec<Resu
     let append = wire::AppendEventsRequest { lease: lease.clone(), ..Default::default() };
     let complete = wire::CompleteRequest { lease: lease.clone(), outcome: Some(outcome) };
     let put = futures::stream::iter(artifact(lease.as_ref().unwrap(), b"late"));
+    let piece = futures::stream::iter(piece(lease.as_ref().unwrap(), 0, b"late"));
+    let fetch = wire::FetchCheckpointRequest { lease: lease.clone() };
     vec![
         client.heartbeat(wire::HeartbeatRequest { lease: lease.clone() }).await.map(drop),
         client
@@ -47,6 +65,8 @@ pub(crate) async fn every_call(server: &Server, lease: &wire::Lease) -> Vec<Resu
             .map(drop),
         client.append_events(append).await.map(drop),
         client.put_artifact(put).await.map(drop),
+        client.put_checkpoint(piece).await.map(drop),
+        client.fetch_checkpoint(fetch).await.map(drop),
         client.complete(complete).await.map(drop),
     ]
 }
@@ -103,8 +123,8 @@ async fn strangers_are_turned_away() {
     let server = Server::start_with(&["--workers=0"]);
     let mut worker = server.worker_client();
     for (name, version) in [("", "0.1.0"), ("a/b", "0.1.0"), ("w", "99.0.0"), ("w", "")] {
-        let request =
-            wire::ClaimRequest { worker: name.into(), version: version.into(), wait_secs: 0.0 };
+        let (worker_id, version) = (name.into(), version.into());
+        let request = wire::ClaimRequest { worker: worker_id, version, ..Default::default() };
         assert_eq!(worker.claim(request).await.unwrap_err().code(), Code::InvalidArgument);
     }
     let no_lease = worker.heartbeat(wire::HeartbeatRequest { lease: None }).await;
@@ -112,4 +132,76 @@ async fn strangers_are_turned_away() {
     let wait_secs = 0.0;
     let idle = worker.claim(wire::ClaimRequest { wait_secs, ..claim_as("w") }).await.unwrap();
     assert!(idle.into_inner().assignment.is_none());
+}
+
+/// What a worker of a build finds when it claims the job: pieces, and how the log says that it goes on.
+async fn found_by(server: &Server, worker: &str, build: &str) -> (wire::Lease, Vec<Vec<u8>>) {
+    let mut client = server.worker_client();
+    let request = wire::ClaimRequest { build: build.into(), ..claim_as(worker) };
+    let assignment = client.claim(request).await.unwrap().into_inner().assignment.unwrap();
+    let lease = assignment.lease.unwrap();
+    let fetch = wire::FetchCheckpointRequest { lease: Some(lease.clone()) };
+    let mut chunks = client.fetch_checkpoint(fetch).await.unwrap().into_inner();
+    let mut pieces = Vec::new();
+    while let Some(chunk) = chunks.message().await.unwrap() {
+        pieces.resize(chunk.piece as usize + 1, Vec::new());
+        pieces[chunk.piece as usize].extend_from_slice(&chunk.data);
+    }
+    assert_eq!(pieces.len(), assignment.checkpoint_pieces as usize);
+    (lease, pieces)
+}
+
+#[tokio::test]
+async fn an_attempt_goes_on_where_the_lost_one_left_its_last_checkpoint() {
+    let server = Server::start_with(&["--workers=0", "--max-attempts=9"]);
+    let mut client = server.client();
+    let name = create(&mut client).await;
+    let mut worker = server.worker_client();
+    let mut note = async |lease: &wire::Lease, first_index: u64| {
+        let note = v1::Note { code: "N".into(), text: first_index.to_string() };
+        let body = Some(wire::worker_event::Body::Note(note));
+        let (lease, events) = (Some(lease.clone()), vec![wire::WorkerEvent { body }]);
+        let append = wire::AppendEventsRequest { lease, first_index, events };
+        server.worker_client().append_events(append).await.unwrap();
+    };
+    let (first, none) = found_by(&server, "w", "b").await;
+    assert_eq!(none, [[0; 0]; 0]);
+    note(&first, 0).await;
+    let mut put = async |lease: &wire::Lease, n, bytes| {
+        worker.put_checkpoint(futures::stream::iter(piece(lease, n, bytes))).await.map(drop)
+    };
+    put(&first, 0, b"one").await.unwrap();
+    // The answer is lost, and the call repeated; a gap is refused.
+    put(&first, 0, b"one").await.unwrap();
+    assert_eq!(put(&first, 2, b"three").await.unwrap_err().code(), Code::InvalidArgument);
+    note(&first, 1).await;
+    // CREATED, CLAIMED, note, (piece), note; then the worker asks for other work: lost, claimed, resumed.
+    let (second, pieces) = found_by(&server, "w", "b").await;
+    assert_eq!(pieces, [b"one"]);
+    put(&second, 1, b"two").await.unwrap();
+    let (_, pieces) = found_by(&server, "w", "b").await;
+    assert_eq!(pieces, [b"one", b"two"]);
+    // Another build cannot go on from there, and neither can anybody after it.
+    let (other, pieces) = found_by(&server, "w", "another").await;
+    assert_eq!(pieces, [[0; 0]; 0]);
+    put(&other, 0, b"new").await.unwrap();
+    let restarts: Vec<_> = log(&mut client, &name, 0)
+        .await
+        .iter()
+        .filter_map(|event| match &event.body {
+            Body::Server(ServerEvent::Restarted {
+                rewind_to_seq, reason, lost_attempt, ..
+            }) => Some((*rewind_to_seq, *lost_attempt, reason.clone())),
+            _ => None,
+        })
+        .collect();
+    let told = |seq, lost, reason: &str| (seq, lost, reason.to_owned());
+    let wanted = [told(3, 1, "RESUMED"), told(7, 2, "RESUMED"), told(1, 3, "STARTED_OVER")];
+    assert_eq!(restarts, wanted);
+    // What is left of the checkpoint goes with the end of the job.
+    let outcome = wire::complete_request::Outcome::Succeeded(wire::Succeeded { files: vec![] });
+    let complete = wire::CompleteRequest { lease: Some(other), outcome: Some(outcome) };
+    worker.complete(complete).await.unwrap();
+    let folders = server.files_below("objects/jobs");
+    assert!(folders.iter().all(|file| !file.contains("checkpoint")), "{folders:?}");
 }

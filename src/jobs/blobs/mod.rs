@@ -1,4 +1,4 @@
-//! Objects: meshes by content, record segments and artifacts by job and epoch; in a directory or in a
+//! Objects: meshes by content, record segments, checkpoints and artifacts by job and epoch; in a directory or in a
 //! bucket.
 //!
 //! 1. An object under its final name is whole and durable: its bytes were staged or sent first, and got
@@ -193,6 +193,24 @@ impl Blobs {
         self.gather(segment_key(job, epoch, segment)).await
     }
 
+    /// Keeps a piece of a checkpoint.
+    pub async fn commit_piece(&self, staged: Staged, job: &str, epoch: u64, n: u32) -> Result<()> {
+        self.objects.commit(staged, piece_key(job, epoch, n)).await
+    }
+
+    /// A piece of a checkpoint.
+    pub fn piece(&self, job: &str, epoch: u64, n: u32, size: u64) -> Blob {
+        self.blob(piece_key(job, epoch, n), size)
+    }
+
+    /// Removes the checkpoint of a job whose last epoch is this one.
+    pub async fn remove_pieces(&self, job: &str, epoch: u64) -> Result<()> {
+        for epoch in 1..=epoch {
+            self.objects.remove_folder(pieces_key(job, epoch)).await?;
+        }
+        Ok(())
+    }
+
     /// All bytes of a small object.
     async fn gather(&self, key: String) -> Result<Vec<u8>> {
         let chunks = self.objects.read(key, 0..u64::MAX).await?;
@@ -238,6 +256,14 @@ fn artifact_key(job: &str, epoch: u64, file: &str) -> String {
 
 fn segment_key(job: &str, epoch: u64, segment: &str) -> String {
     format!("jobs/{job}/{epoch}/segments/{segment}")
+}
+
+fn pieces_key(job: &str, epoch: u64) -> String {
+    format!("jobs/{job}/{epoch}/checkpoint")
+}
+
+fn piece_key(job: &str, epoch: u64, n: u32) -> String {
+    format!("{}/{n:06}", pieces_key(job, epoch))
 }
 
 #[cfg(test)]

@@ -166,6 +166,7 @@ impl Dialect {
             (3, "objects", include_str!("../migrations/0003_objects.sql")),
             (10, "webhooks", include_str!("../migrations/0010_webhooks.sql")),
             (11, "results", include_str!("../migrations/0011_results.sql")),
+            (12, "checkpoints", include_str!("../migrations/0012_checkpoints.sql")),
         ];
         let migration = |(version, name, sql): (i64, &'static str, &'static str)| {
             let sql = sqlx::SqlSafeStr::into_sql_str(AssertSqlSafe(self.text(sql).into_owned()));

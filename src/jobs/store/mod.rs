@@ -1,4 +1,4 @@
-//! The job database, SQLite or PostgreSQL (`dialect.rs`), and all of its SQL (here, in `clients.rs`,
+//! The job database, SQLite or PostgreSQL (`dialect.rs`), and all of its SQL (here, in `checkpoints.rs`, `clients.rs`,
 //! `expiry.rs`, `owners.rs`, `webhooks.rs` and `workers.rs`).
 //!
 //! 1. A transaction that reads before it writes locks first what it reads: SQLite by BEGIN IMMEDIATE (a
@@ -13,6 +13,7 @@
 //!
 //! Knows nothing of objects, or of who asks.
 
+mod checkpoints;
 mod clients;
 mod dialect;
 mod expiry;
@@ -36,6 +37,7 @@ use super::{
     state::State,
 };
 
+pub use checkpoints::{Piece, RESUMED};
 pub use clients::{MeshLock, NewJob};
 pub use dialect::Address;
 pub use listen::{Ear, Heard};

@@ -6,8 +6,8 @@
 use sqlx::AnyConnection;
 
 use super::{
-    Artifact, Body, Job, SegmentRange, Store, Tx, find, find_to_write, job_of, log, now_ms, sql,
-    state_entry, storable, webhooks,
+    Artifact, Body, Job, SegmentRange, Store, Tx, checkpoints, find, find_to_write, job_of, log,
+    now_ms, sql, state_entry, storable, webhooks,
 };
 use crate::jobs::{
     error::{Error, Result},
@@ -194,7 +194,7 @@ impl Store {
 }
 
 /// The job, if `lease` may write on it; nobody else writes on it until the transaction ends.
-async fn held_to_write(conn: &mut AnyConnection, lease: &Lease) -> Result<Job> {
+pub(super) async fn held_to_write(conn: &mut AnyConnection, lease: &Lease) -> Result<Job> {
     may_write(find_to_write(conn, &lease.job).await, lease)
 }
 
@@ -292,6 +292,7 @@ async fn end(
     update.execute(&mut **tx).await?;
     let entry = state_entry(&job, reason, text);
     log(tx, &mut job, now, &[entry]).await?;
+    checkpoints::forget(tx, &job.id).await?;
     webhooks::due(tx, &job.id, now).await?;
     Ok(job)
 }
@@ -334,14 +335,20 @@ async fn lose(tx: &mut Tx, mut job: Job, loss: Loss, detail: &str, max_lost: u32
 async fn requeue(tx: &mut Tx, mut job: Job, loss: Loss, why: &str) -> Result<Job> {
     let now = now_ms(tx).await?;
     job.state = after(&job, Trigger::Requeue)?;
-    let text = format!("attempt {} was lost, because {why}; the job starts over", job.attempt);
-    let restarted = ServerEvent::Restarted {
-        rewind_to_seq: CREATED_SEQ,
-        lost_attempt: job.attempt,
-        reason: loss.reason().into(),
-        text: text.clone(),
+    let lost = format!("attempt {} was lost, because {why}", job.attempt);
+    let entries = if checkpoints::exists(tx, &job.id).await? {
+        // Whoever claims it finds out whether it can go on from there (`Store::resume`).
+        vec![state_entry(&job, loss.reason(), format!("{lost}; there is a checkpoint"))]
+    } else {
+        let text = format!("{lost}; the job starts over");
+        let restarted = ServerEvent::Restarted {
+            rewind_to_seq: CREATED_SEQ,
+            lost_attempt: job.attempt,
+            reason: loss.reason().into(),
+            text: text.clone(),
+        };
+        vec![(Body::Server(restarted), None), state_entry(&job, loss.reason(), text)]
     };
-    let entries = [(Body::Server(restarted), None), state_entry(&job, loss.reason(), text)];
     job.worker = String::new();
     let update = "UPDATE jobs SET state = $1, worker = '', stage = '', fraction = 0 WHERE id = $2";
     let update = sqlx::query(update).bind(job.state.name()).bind(&job.id);

@@ -171,8 +171,9 @@ impl Device {
         all
     }
 
-    /// Judges at most [`BATCH`] moves with one submission, in items of at most so many cells, and
-    /// again in smaller ones those moves whose items the driver cut off.
+    /// Judges at most [`BATCH`] moves with one submission (or with more, where they are more than the device
+    /// binds), in items of at most so many cells, and again in smaller ones those moves whose items the driver cut
+    /// off.
     fn judge(
         &mut self,
         scene: &Scene,
@@ -188,6 +189,12 @@ impl Device {
         self.kernels.prepare(&self.gpu, &order.kernels())?;
         let mut words = order.words(&packed);
         let n_results = self.n_results(order.items.len());
+        if moves.len() > 1 && !Work::has_room(&self.gpu, &words, n_results) {
+            let (first, second) = moves.split_at(moves.len() / 2);
+            deltas = self.judge(scene, first, max_cells)?;
+            deltas.extend(self.judge(scene, second, max_cells)?);
+            return Ok(deltas);
+        }
         self.work.write(&self.gpu, &self.kernels, &mut words, n_results)?;
         let mut encoder = encoder(&self.gpu);
         self.dispatch_judging(&mut encoder, &order);
@@ -335,10 +342,7 @@ impl Evaluator for Device {
     }
 
     fn commit(&mut self, scene: &mut Scene, mv: &Move) -> Result<i64, RenderError> {
-        let n_slots = mv.added.iter().map(|a| a.face as usize + 1).max().unwrap_or(0);
-        if n_slots > scene.faces.len() {
-            scene.faces.resize(n_slots, None);
-        }
+        scene.make_room(mv);
         let Made { delta, used } = self.make(scene, mv)?;
         used.check_depth()?;
         scene.apply(mv);

@@ -16,7 +16,7 @@ use super::{
         scene::Scene,
         twin::Twin,
     },
-    Device, Gpu, SHARED,
+    BAND_CELLS, Device, Gpu, SHARED,
 };
 
 /// The first usable adapter; says so when there is none.
@@ -113,6 +113,23 @@ fn check_lanes_against_twin(
             assert!(same, "round {round}, view {view}");
         }
     }
+}
+
+#[test]
+fn a_batch_that_a_device_does_not_bind_is_judged_in_parts() {
+    if open().is_none() {
+        return;
+    }
+    let scene = contract::scene(12, LOOKS[0]);
+    let reference = raster::reference(&scene);
+    let mut twin = Twin::new(&scene, &reference);
+    let mut device = make(&scene, reference, SHARED);
+    // What one move needs, and little more.
+    device.gpu.max_binding = 1 << 16;
+    let moves = random_moves(&scene, &mut TestRng::deterministic_rng(RngAlgorithm::ChaCha), 200);
+    let words = device.pack(&scene, &moves, BAND_CELLS);
+    assert!(device.n_results(words.items.len()) * 4 > 1 << 16, "too few to be parted");
+    assert_eq!(device.evaluate(&scene, &moves).unwrap(), twin.evaluate(&scene, &moves).unwrap());
 }
 
 #[test]

@@ -70,6 +70,13 @@ impl Work {
         Ok(())
     }
 
+    /// Whether the device binds so much input and so many numbers of output.
+    pub(super) fn has_room(gpu: &Gpu, words: &[Word], n_results: usize) -> bool {
+        let n_bytes = (n_results * size_of::<u32>()) as u64;
+        words.len().div_ceil(INPUT_WIDTH) <= gpu.max_texture_side as usize
+            && n_bytes <= gpu.max_binding
+    }
+
     /// Makes room for so many rows of input and bytes of output.
     pub(super) fn reserve(
         &mut self,

@@ -91,3 +91,15 @@ fn change_of_rest(item: Item, cells: vec2<u32>) -> i32 {
     }
     return sum;
 }
+
+// What an invocation judges: no cells where there is no item, or where a lane is left over, which adds nothing.
+fn item_to_judge(place: u32) -> Item {
+    var item: Item;
+    if place >> params.lane_bits < params.n_items {
+        item = load_item(place);
+        if item.n_columns == 0u {
+            output[params.output_at + place] = 0u;
+        }
+    }
+    return item;
+}

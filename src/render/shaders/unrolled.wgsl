@@ -115,12 +115,8 @@ fn evaluate(
     @builtin(num_workgroups) n_groups: vec3<u32>,
 ) {
     let place = item_index(id, n_groups);
-    if place >> params.lane_bits >= params.n_items {
-        return;
-    }
-    let item = load_item(place);
+    let item = item_to_judge(place);
     if item.n_columns == 0u {
-        output[params.output_at + place] = 0u;
         return;
     }
     var mv: Move;

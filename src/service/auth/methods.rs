@@ -60,6 +60,8 @@ const METHODS: &[Method] = &[
     row("/lookalike.worker.v1.WorkerService/FetchMesh",     WORK,  Audit::No,    false),
     row("/lookalike.worker.v1.WorkerService/AppendEvents",  WORK,  Audit::No,    false),
     row("/lookalike.worker.v1.WorkerService/PutArtifact",   WORK,  Audit::No,    false),
+    row("/lookalike.worker.v1.WorkerService/PutCheckpoint",   WORK, Audit::No,  false),
+    row("/lookalike.worker.v1.WorkerService/FetchCheckpoint", WORK, Audit::No,  false),
     row("/lookalike.worker.v1.WorkerService/Complete",      WORK,  Audit::Yes,   false),
     row("/grpc.health.v1.Health/Check",                     Need::Nothing, Audit::No, false),
     row("/grpc.health.v1.Health/Watch",                     Need::Nothing, Audit::No, false),
@@ -93,7 +95,7 @@ mod tests {
                 paths.extend(service.method.iter().map(path));
             }
         }
-        assert_eq!(paths.len(), 16, "{paths:?}");
+        assert_eq!(paths.len(), 18, "{paths:?}");
         for path in paths {
             assert!(matches!(method(&path).need, Need::May(_)), "{path} has no row");
         }
