@@ -31,7 +31,7 @@ impl Waits {
 pub(crate) struct Abused {
     pub(crate) what: &'static str,
     pub(crate) alone: Waits,
-    pub(crate) abused: Waits,
+    pub(crate) beset: Waits,
 }
 
 pub(crate) type Abuses = (&'static str, Vec<Abused>);
@@ -42,7 +42,8 @@ pub(crate) fn section(figures: &[Figures], abuses: &[Abuses], note: Option<&str>
         let _ = write!(text, " {note}");
     }
     text += "\n";
-    if let Some((_, first)) = figures.first() {
+    // Of the pairs the one with the most figures names them: not all have each.
+    if let Some((_, first)) = figures.iter().max_by_key(|(_, rows)| rows.len()) {
         let names: Vec<_> = figures.iter().map(|(name, _)| *name).collect();
         let _ = write!(text, "\n| | {} | asked for |\n|---|", names.join(" | "));
         text += &"---:|".repeat(names.len() + 1);
@@ -56,9 +57,9 @@ pub(crate) fn section(figures: &[Figures], abuses: &[Abuses], note: Option<&str>
     for (name, rows) in abuses {
         let _ = write!(text, "\n| {name}: while the bad tenant | p50 (ms) | alone | p99 (ms) ");
         text += "| alone | p99, of alone |\n|---|---:|---:|---:|---:|---:|";
-        for Abused { what, alone, abused } in rows {
-            let times = [abused.p50, alone.p50, abused.p99, alone.p99].map(number).join(" | ");
-            let _ = write!(text, "\n| {what} | {times} | {:.2} |", abused.p99 / alone.p99);
+        for Abused { what, alone, beset } in rows {
+            let times = [beset.p50, alone.p50, beset.p99, alone.p99].map(number).join(" | ");
+            let _ = write!(text, "\n| {what} | {times} | {:.2} |", beset.p99 / alone.p99);
         }
         text += "\n";
     }
