@@ -150,6 +150,7 @@ impl Jobs {
     /// over.
     pub async fn resume(&self, lease: &Lease, build: &str) -> Result<Vec<Piece>> {
         let pieces = self.0.store.resume(lease, build, self.0.terms.max_lost).await?;
+        pass(Point::ResumeCommitted);
         self.0.signals.log_grew(&lease.job);
         Ok(pieces)
     }
@@ -173,8 +174,13 @@ impl Jobs {
         self.0.store.check(lease).await?;
         let staged = self.0.blobs.stage(chunks, self.0.limits.max_piece_bytes).await?;
         announced.check(&format!("piece {n} of the checkpoint"), staged.size, &staged.hash)?;
+        let size = staged.size;
+        pass(Point::PieceStaged);
         self.0.blobs.commit_piece(staged, &lease.job, lease.epoch, n).await?;
-        self.0.store.add_piece(lease, n, announced.size, build).await
+        pass(Point::PieceNamed);
+        self.0.store.add_piece(lease, n, size, build).await?;
+        pass(Point::PieceCommitted);
+        Ok(())
     }
 
     /// Ends the attempt.

@@ -13,6 +13,7 @@ use crate::jobs::{
     error::{Error, Result},
     event::{CREATED_SEQ, ServerEvent},
     lease::Lease,
+    points::{Point, pass},
 };
 
 /// A piece of a checkpoint.
@@ -48,6 +49,7 @@ impl Store {
                 sqlx::query(insert).bind(&job.id).bind(i64::from(n)).bind(job.epoch as i64);
             let insert = insert.bind(job.last_seq as i64).bind(size as i64).bind(storable(build));
             insert.execute(&mut *tx).await?;
+            pass(Point::PieceWritten);
             Ok(())
         })
     }
@@ -75,6 +77,7 @@ impl Store {
             }
             let now = now_ms(&mut tx).await?;
             log(&mut tx, &mut job, now, &[(Body::Server(body), None)]).await?;
+            pass(Point::ResumeWritten);
             Ok(pieces)
         })
     }

@@ -23,7 +23,7 @@ const AT: &str = "LOOKALIKE_CRASH_AT";
 const ACKNOWLEDGED: &str = "LOOKALIKE_CRASH_ACKNOWLEDGED";
 
 /// All points; the story passes each.
-const POINTS: [Point; 22] = [
+const POINTS: [Point; 28] = [
     Point::UploadStaged,
     Point::UploadNamed,
     Point::UploadListed,
@@ -39,6 +39,12 @@ const POINTS: [Point; 22] = [
     Point::ArtifactNamed,
     Point::ArtifactWritten,
     Point::ArtifactCommitted,
+    Point::PieceStaged,
+    Point::PieceNamed,
+    Point::PieceWritten,
+    Point::PieceCommitted,
+    Point::ResumeWritten,
+    Point::ResumeCommitted,
     Point::CompleteWritten,
     Point::CompleteCommitted,
     Point::DeleteWritten,
@@ -165,6 +171,9 @@ async fn open(keep_meshes: Duration) -> Jobs {
     Jobs::open(places, Terms::default(), limits).await.unwrap()
 }
 
+/// What the first attempt leaves to the second.
+const PIECE: &[u8] = b"what was found out so far";
+
 fn chunk() -> Vec<u8> {
     (0..300_000_u32).flat_map(u32::to_le_bytes).collect()
 }
@@ -216,12 +225,21 @@ impl Actors {
         if self.jobs.job(&id).await.unwrap().attempt < 2 {
             let first = self.claim(&id, "claim-1").await;
             self.store(&first, b"of the first attempt").await;
+            let piece = bytes_of(&[PIECE]);
+            self.jobs.put_piece(&first, (0, "b"), &Announced::default(), piece).await.unwrap();
+            self.acknowledge("piece", &id);
             let released = Outcome::Released("told to".into());
             drop(self.jobs.complete(&first, &released).await.unwrap());
         }
         let job = self.jobs.job(&id).await.unwrap();
         if job.state != State::Succeeded {
             let second = self.claim(&id, "claim-2").await;
+            let n_pieces = self.jobs.resume(&second, "b").await.unwrap().len();
+            assert!(n_pieces == 1 || !self.known.contains_key("piece"), "the checkpoint is lost");
+            for blob in self.jobs.checkpoint(&second).await.unwrap() {
+                let chunks = blob.read(0, u64::MAX).await.unwrap();
+                assert_eq!(chunks.try_collect::<Vec<_>>().await.unwrap().concat(), PIECE);
+            }
             let appended = self.jobs.append(&second, 0, reports()).await.unwrap();
             assert_eq!(appended.held, 3);
             self.acknowledge("events", "3");
