@@ -16,7 +16,7 @@ use super::{
         scene::Scene,
         twin::Twin,
     },
-    Device, Gpu, SHARED,
+    BAND_CELLS, Device, Gpu, SHARED,
 };
 
 /// The first usable adapter; says so when there is none.
