@@ -1,7 +1,7 @@
 # Lookalike: two commands do everything on a fresh Debian 12 with a Rust toolchain.
 #   make demo [MODEL=path]   build, start a server, simplify a model, leave the results in out/demo
 #   make test                everything that CI checks
-.PHONY: demo test setup build lint deny unit python loadtest torture bench results advisories
+.PHONY: demo test setup build lint deny unit python loadtest farm torture bench results advisories
 
 CARGO ?= cargo
 VENV := .venv
@@ -42,6 +42,8 @@ python: $(VENV)/installed
 	$(CARGO) test --release --no-run
 	LOOKALIKE_BIN=$(CURDIR)/target/release/lookalike $(VENV)/bin/python -m pytest -q clients/python/tests
 	LOOKALIKE_BIN=$(CURDIR)/target/release/lookalike $(VENV)/bin/python -m pytest -q loadtest
+	LOOKALIKE_PYTHON=$(CURDIR)/$(VENV)/bin/python \
+	    $(CARGO) test --release --test service -- chaos_between_python
 
 $(VENV)/installed: $(CLIENT) $(wildcard proto/lookalike/*/*.proto)
 	deploy/setup.sh test
@@ -49,11 +51,22 @@ $(VENV)/installed: $(CLIENT) $(wildcard proto/lookalike/*/*.proto)
 	$(VENV)/bin/pip install -q './clients/python[test]'
 	touch $@
 
-loadtest: build $(VENV)/installed
+# What the service bears, on both pairs of stores, beside pgbench: into docs/results.md. Nothing else should run
+# on the machine; if something does, NOTE="..." says so there.
+loadtest:
+	deploy/setup.sh test
+	$(CARGO) test --release --test load -- --full --write docs/results.md $(if $(NOTE),--note "$(NOTE)")
+
+# Many whole jobs at once, every result checked.
+farm: build $(VENV)/installed
 	$(VENV)/bin/python loadtest/farm.py --binary target/release/lookalike --jobs 40 --in-flight 8
 
+# Kills and freezes processes at random moments, on both pairs of stores; the long mode is ROUNDS=200.
+# A run is repeated by the seed that it prints: SEED=...
 torture:
-	LOOKALIKE_TORTURE_ROUNDS=20 $(CARGO) test --release --test service -- torture --nocapture
+	deploy/setup.sh test
+	LOOKALIKE_TORTURE_ROUNDS=$(or $(ROUNDS),20) $(if $(SEED),LOOKALIKE_TORTURE_SEED=$(SEED)) \
+	    $(CARGO) test --release --test service -- torture_of --nocapture
 
 bench:
 	$(CARGO) bench

@@ -223,6 +223,16 @@ def page(rows: list[Row], models: list[assets.Model], absent: list[str]) -> str:
     return "\n".join(parts) + "\n"
 
 
+def service_section(path: Path) -> str:
+    """What `make loadtest` has written into the page, which is kept."""
+    text = path.read_text() if path.exists() else ""
+    at = text.find("## The service\n")
+    if at < 0:
+        return ""
+    end = text.find("\n## ", at)
+    return "\n" + text[at : end if end >= 0 else len(text)].rstrip() + "\n"
+
+
 def main() -> None:
     """Reads the command line, runs the experiments, writes the page."""
     parser = argparse.ArgumentParser(
@@ -253,7 +263,7 @@ def main() -> None:
                 continue
             models.append(assets.measure(args.binary, path, Path(folder), args.device))
             print(assets.table(models[-1:]).splitlines()[-1], flush=True)
-    args.out.write_text(page(rows, models, absent))
+    args.out.write_text(page(rows, models, absent) + service_section(args.out))
     print(args.out)
 
 

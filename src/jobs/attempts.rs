@@ -15,6 +15,7 @@ use super::{
     error::{Error, Result},
     event::Report,
     lease::{Claimant, Lease, Loss, Orders},
+    points::{Point, pass},
     segment,
     state::State,
     store::{Appended, Artifact, Attempt, Job, Outcome, Piece, Worker},
@@ -33,6 +34,7 @@ impl Jobs {
         let mut queue = self.0.signals.watch_queue();
         loop {
             if let Some(job) = self.0.store.claim(&who, &self.0.terms).await? {
+                pass(Point::ClaimCommitted);
                 self.0.signals.log_grew(&job.id);
                 return Ok(Some(job));
             }
@@ -84,8 +86,10 @@ impl Jobs {
             let put =
                 self.0.blobs.put_segment(segment.packed, &lease.job, lease.epoch, &segment.name);
             put.await?;
+            pass(Point::SegmentStored);
         }
         let appended = self.0.store.append(lease, first, &entries).await?;
+        pass(Point::AppendCommitted);
         self.0.signals.log_grew(&lease.job);
         Ok(appended)
     }
@@ -107,8 +111,12 @@ impl Jobs {
         let announced = Announced { size: artifact.size, hash: artifact.blake3.clone() };
         announced.check(&artifact.file, staged.size, &staged.hash)?;
         let stored = Artifact { size: staged.size, blake3: staged.hash.clone(), ..artifact };
+        pass(Point::ArtifactStaged);
         self.0.blobs.commit_artifact(staged, &lease.job, lease.epoch, &stored.file).await?;
-        self.0.store.add_artifact(lease, &stored).await
+        pass(Point::ArtifactNamed);
+        self.0.store.add_artifact(lease, &stored).await?;
+        pass(Point::ArtifactCommitted);
+        Ok(())
     }
 
     /// The latest attempts of a job, the last one first.
@@ -172,6 +180,7 @@ impl Jobs {
     /// Ends the attempt.
     pub async fn complete(&self, lease: &Lease, outcome: &Outcome) -> Result<Job> {
         let job = self.0.store.complete(lease, outcome, self.0.terms.max_lost).await?;
+        pass(Point::CompleteCommitted);
         if job.state == State::Succeeded {
             self.0.blobs.remove_artifacts_before(&job.id, job.epoch).await?;
         }

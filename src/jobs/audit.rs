@@ -3,7 +3,20 @@
 //! An entry is written when the call has been answered. Claims, and what workers report
 //! of a job at work, are not among them: the job's own log tells of those.
 
-use super::{Jobs, error::Result};
+use std::sync::Arc;
+
+use tokio::sync::{mpsc, oneshot};
+
+use super::{Jobs, error::Error, store::Store};
+
+/// Entries of one transaction.
+const AT_ONCE: usize = 256;
+
+/// Whether an entry was written; those of one transaction share an error.
+type Written = Result<(), Arc<Error>>;
+
+/// Takes entries to the table. Those that come while others are written go together: one commit for all.
+pub(super) type Ledger = mpsc::Sender<(AuditEntry, oneshot::Sender<Written>)>;
 
 /// A call worth remembering.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -24,7 +37,28 @@ pub struct AuditEntry {
 
 impl Jobs {
     /// Writes an entry.
-    pub async fn audit(&self, entry: &AuditEntry) -> Result<()> {
-        self.0.store.audit(entry).await
+    pub async fn audit(&self, entry: AuditEntry) -> Written {
+        let (tell, told) = oneshot::channel();
+        // A server that ends takes no more; then nobody tells, either.
+        let _ = self.0.ledger.send((entry, tell)).await;
+        told.await.unwrap_or_else(|_| Err(Arc::new(Error::Sql(sqlx::Error::PoolClosed))))
     }
+}
+
+/// The way to the table, and what has to be run for it.
+pub(super) fn open(store: Store) -> (Ledger, impl Future<Output = ()>) {
+    let (ledger, mut entries) = mpsc::channel(AT_ONCE);
+    let keep = async move {
+        let mut waiting = Vec::new();
+        while entries.recv_many(&mut waiting, AT_ONCE).await > 0 {
+            let (entries, tell): (Vec<_>, Vec<oneshot::Sender<Written>>) =
+                waiting.drain(..).unzip();
+            let written = store.audit(&entries).await.map_err(Arc::new);
+            for tell in tell {
+                // Whoever asked may have gone.
+                let _ = tell.send(written.clone());
+            }
+        }
+    };
+    (ledger, keep)
 }

@@ -7,6 +7,7 @@ use super::{
     Jobs,
     blobs::{Blob, is_hash, is_safe_name},
     error::{Error, Result},
+    points::{Point, pass},
     spec::Fault,
     state::State,
     store::{Artifact, Job, NewJob},
@@ -79,7 +80,9 @@ impl Jobs {
         let staged = self.0.blobs.stage(chunks, limit).await?;
         announced.check("the mesh", staged.size, &staged.hash)?;
         let (hash, size) = (staged.hash.clone(), staged.size);
+        pass(Point::UploadStaged);
         self.0.blobs.commit_mesh(staged).await?;
+        pass(Point::UploadNamed);
         let lock = self.0.store.lock_mesh(&hash).await?;
         // Another server may have swept it before a row told of it.
         if !self.0.blobs.has_mesh(&hash).await? {
@@ -87,9 +90,11 @@ impl Jobs {
             return Err(Error::Corrupt { what: "the mesh".into(), fault });
         }
         lock.add(size).await?;
+        pass(Point::UploadListed);
         // That somebody else has the same bytes is nobody's business.
         let limit = self.0.limits.max_owner_bytes;
         let existed = !self.0.store.own_mesh(owner, &hash, size, limit).await?;
+        pass(Point::UploadOwned);
         Ok(StoredMesh { hash, size, existed })
     }
 
@@ -100,8 +105,10 @@ impl Jobs {
         if !faults.is_empty() {
             return Err(Error::Invalid(faults));
         }
+        let _turn = self.0.turns.of(&new.owner).await;
         let id = uuid::Uuid::now_v7().simple().to_string();
         let (job, is_new) = self.0.store.create(&id, &new, &self.0.limits).await?;
+        pass(Point::CreateCommitted);
         if is_new {
             self.0.signals.queue_grew();
         }
@@ -184,6 +191,7 @@ impl Jobs {
     /// Deletes an ended job with its log and artifacts.
     pub async fn delete(&self, id: &str) -> Result<()> {
         self.0.store.delete(id).await?;
+        pass(Point::DeleteCommitted);
         self.0.signals.log_grew(id);
         self.0.blobs.remove_job(id).await
     }

@@ -3,6 +3,7 @@
 use super::{
     Jobs,
     error::{Error, Result},
+    points::{Point, pass},
     store::Job,
 };
 
@@ -26,7 +27,9 @@ impl Jobs {
                 forgotten => forgotten?,
             };
             let Some(job) = job else { continue };
+            pass(Point::ResultsForgotten);
             self.0.blobs.remove_artifacts_before(&id, job.epoch + 1).await?;
+            pass(Point::ResultsRemoved);
             self.0.store.results_gone(&id).await?;
             n_swept += 1;
         }

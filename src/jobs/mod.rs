@@ -36,6 +36,8 @@ pub mod webhooks;
 
 mod attempts;
 mod expiry;
+mod points;
+mod turns;
 
 pub use places::Places;
 
@@ -52,8 +54,10 @@ use self::{
     blobs::Blobs,
     error::{Error, Result},
     lease::{Loss, Terms},
+    points::{Point, pass},
     signals::Signals,
     store::{Job, Store},
+    turns::Turns,
 };
 
 /// Caps on what clients may ask for.
@@ -107,8 +111,10 @@ struct Inner {
     store: Store,
     blobs: Blobs,
     signals: Arc<Signals>,
-    /// Pass signals on between servers.
+    ledger: audit::Ledger,
+    /// Pass signals on between servers, and entries of the audit table to it.
     _couriers: JoinSet<()>,
+    turns: Turns,
     terms: Terms,
     limits: Limits,
     workers: PathBuf,
@@ -128,12 +134,16 @@ impl Jobs {
         let blobs = places.blobs()?;
         let store = places.store().await?;
         places.check_pair(&store, &blobs).await?;
-        let (signals, couriers) = Signals::open(&store);
+        let (signals, mut couriers) = Signals::open(&store);
+        let (ledger, keep) = audit::open(store.clone());
+        couriers.spawn(keep);
         let jobs = Self(Arc::new(Inner {
             store,
             blobs,
             signals,
+            ledger,
             _couriers: couriers,
+            turns: Turns::default(),
             terms,
             limits,
             workers,
@@ -229,6 +239,7 @@ impl Jobs {
         self.0.store.forget_audit(self.0.limits.keep_audit).await?;
         self.0.store.forget_workers().await?;
         let mut unknown = self.0.store.forget_meshes(self.0.limits.keep_meshes).await?;
+        pass(Point::MeshesForgotten);
         let old = SystemTime::now() - ORPHANS_STAY;
         let meshes = self.0.blobs.meshes().await?.into_iter();
         for hash in meshes.filter(|(_, written)| *written < old).map(|(hash, _)| hash) {

@@ -1,10 +1,12 @@
 //! Connections: TCP in the clear or under TLS, and the Unix socket of the server's own workers.
 //!
-//! 1. Handshakes run beside each other, each with a deadline: a peer that is slow delays nobody.
+//! 1. Handshakes run beside each other, each with a deadline, and the oldest makes room where there are too many:
+//!    peers that are slow or silent delay nobody. Who has said nothing by the deadline is cut off.
 //! 2. Certificates are read again when their files change; connections that are open stay open.
 //! 3. On the Unix socket there are only this server's workers: file modes keep others away.
 
 use std::{
+    collections::VecDeque,
     fmt, fs, io,
     net::SocketAddr,
     os::fd::AsRawFd,
@@ -19,7 +21,8 @@ use tokio::{
     io::{AsyncRead, AsyncWrite, ReadBuf},
     net::{TcpListener, TcpStream, UnixListener},
     sync::mpsc,
-    task::JoinSet,
+    task::{AbortHandle, JoinSet},
+    time::{Sleep, sleep},
 };
 use tokio_rustls::TlsAcceptor;
 use tonic::transport::server::Connected;
@@ -30,6 +33,8 @@ use super::tls::{ServerTls, certificate_names};
 const HANDSHAKE: Duration = Duration::from_secs(10);
 /// Handshakes under way at a time.
 const MAX_HANDSHAKES: usize = 256;
+/// What HTTP of either version begins with has at least so many bytes.
+const OPENING: usize = 16;
 /// After an error of the socket (no more files, say).
 const PAUSE: Duration = Duration::from_millis(100);
 /// File name of the Unix socket.
@@ -72,6 +77,20 @@ impl<T: AsyncRead + AsyncWrite + Send> Io for T {}
 pub(super) struct Connection {
     io: Pin<Box<dyn Io>>,
     peer: Peer,
+    /// Until the peer has begun to speak HTTP.
+    opening: Option<Opening>,
+}
+
+/// What a peer still has to say, and until when.
+struct Opening {
+    n_missing: usize,
+    deadline: Pin<Box<Sleep>>,
+}
+
+impl Default for Opening {
+    fn default() -> Self {
+        Self { n_missing: OPENING, deadline: Box::pin(sleep(HANDSHAKE)) }
+    }
 }
 
 impl Connected for Connection {
@@ -85,16 +104,17 @@ impl Connected for Connection {
 impl Listeners {
     /// Accepts connections for as long as somebody receives them.
     pub(super) async fn accept(self, ready: mpsc::Sender<io::Result<Connection>>) {
-        let mut handshakes = JoinSet::new();
+        let (mut handshakes, mut under_way) = (JoinSet::new(), VecDeque::new());
         loop {
             tokio::select! {
                 () = ready.closed() => return,
                 Some(_) = handshakes.join_next() => {}
-                tcp = self.tcp.accept(), if handshakes.len() < MAX_HANDSHAKES => match tcp {
+                tcp = self.tcp.accept() => match tcp {
                     Ok((stream, address)) => {
                         let acceptor = self.tls.as_ref().map(ServerTls::acceptor);
                         let ready = ready.clone();
-                        handshakes.spawn(async move {
+                        make_room(&mut under_way);
+                        under_way.push_back(handshakes.spawn(async move {
                             match shake(stream, address, acceptor).await {
                                 // The server is about to end when nobody receives.
                                 Ok(connection) => drop(ready.send(Ok(connection)).await),
@@ -102,20 +122,30 @@ impl Listeners {
                                     tracing::debug!(%address, %error, "no connection");
                                 }
                             }
-                        });
+                        }));
                     }
                     Err(error) => pause(&error).await,
                 },
                 unix = self.unix.accept() => match unix {
                     Ok((stream, _)) => {
                         let peer = Peer { is_local_worker: true, ..Peer::default() };
-                        let connection = Connection { io: Box::pin(stream), peer };
+                        let connection = Connection { io: Box::pin(stream), peer, opening: None };
                         drop(ready.send(Ok(connection)).await);
                     }
                     Err(error) => pause(&error).await,
                 },
             }
         }
+    }
+}
+
+/// Ends the oldest handshake where there are as many as there may be.
+fn make_room(under_way: &mut VecDeque<AbortHandle>) {
+    if under_way.len() >= MAX_HANDSHAKES {
+        under_way.retain(|handshake| !handshake.is_finished());
+    }
+    if under_way.len() >= MAX_HANDSHAKES {
+        under_way.pop_front().iter().for_each(AbortHandle::abort);
     }
 }
 
@@ -133,12 +163,13 @@ async fn shake(
     stream.set_nodelay(true)?;
     let peer = Peer { address: Some(address), ..Peer::default() };
     let Some(acceptor) = acceptor else {
-        return Ok(Connection { io: Box::pin(stream), peer });
+        return Ok(Connection { io: Box::pin(stream), peer, opening: Some(Opening::default()) });
     };
     let stream = tokio::time::timeout(HANDSHAKE, acceptor.accept(stream)).await??;
     let certificate = stream.get_ref().1.peer_certificates().and_then(<[_]>::first);
     let certificate_names = certificate.map(certificate_names).unwrap_or_default().into();
-    Ok(Connection { io: Box::pin(stream), peer: Peer { certificate_names, ..peer } })
+    let (peer, opening) = (Peer { certificate_names, ..peer }, Some(Opening::default()));
+    Ok(Connection { io: Box::pin(stream), peer, opening })
 }
 
 /// Binds the socket of the server's own workers in `folder`, which is closed to everybody else.
@@ -166,7 +197,16 @@ impl AsyncRead for Connection {
         cx: &mut Context<'_>,
         buf: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
-        self.io.as_mut().poll_read(cx, buf)
+        let before = buf.filled().len();
+        let polled = self.io.as_mut().poll_read(cx, buf);
+        let Some(opening) = &mut self.opening else { return polled };
+        opening.n_missing = opening.n_missing.saturating_sub(buf.filled().len() - before);
+        if opening.n_missing == 0 {
+            self.opening = None;
+        } else if polled.is_pending() && opening.deadline.as_mut().poll(cx).is_ready() {
+            return Poll::Ready(Err(io::ErrorKind::TimedOut.into()));
+        }
+        polled
     }
 }
 

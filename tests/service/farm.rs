@@ -15,20 +15,20 @@ use crate::{
 };
 
 /// What the servers share. `None`, and a line that says so, when PostgreSQL is missing.
-struct Farm {
-    cluster: Cluster,
+pub(crate) struct Farm {
+    pub(crate) cluster: Cluster,
     bucket: S3,
     database: String,
 }
 
 impl Farm {
-    fn start() -> Option<Self> {
+    pub(crate) fn start() -> Option<Self> {
         let mut cluster = Cluster::start()?;
         let database = cluster.create();
         Some(Self { cluster, bucket: S3::start(), database })
     }
 
-    fn server(&self, flags: &[&str]) -> Server {
+    pub(crate) fn server(&self, flags: &[&str]) -> Server {
         let mut environment = self.bucket.environment();
         environment.push(("LOOKALIKE_DATABASE".into(), self.database.clone()));
         environment.push(("LOOKALIKE_OBJECTS".into(), S3::url()));

@@ -9,9 +9,11 @@
     reason = "a test fails by panicking"
 )]
 
+mod abuse;
 mod api;
 mod auth;
 mod bad_input;
+mod chaos;
 mod command_line;
 mod farm;
 mod files;

@@ -156,11 +156,23 @@ impl Server {
         fs::read_to_string(self.dir.path().join("log")).unwrap()
     }
 
+    pub(crate) fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
     /// The processes of the workers that live.
     pub(crate) fn worker_pids(&self) -> Vec<u32> {
+        self.worker_processes().into_iter().map(|(_, pid)| pid).collect()
+    }
+
+    /// The same, with the workers' identities.
+    pub(crate) fn worker_processes(&self) -> Vec<(String, u32)> {
         let locks = fs::read_dir(self.data_dir().join("workers")).into_iter().flatten().flatten();
-        let pids = locks.filter_map(|lock| fs::read_to_string(lock.path()).ok()?.parse().ok());
-        pids.filter(|&pid| self.owns(pid)).collect()
+        let worker = |lock: fs::DirEntry| {
+            let id = lock.path().file_stem()?.to_str()?.to_owned();
+            Some((id, fs::read_to_string(lock.path()).ok()?.parse().ok()?))
+        };
+        locks.filter_map(worker).filter(|&(_, pid)| self.owns(pid)).collect()
     }
 
     /// Whether the process is a worker of this data directory, and not a later owner of the number.

@@ -44,7 +44,7 @@ impl Cluster {
         format!("postgres:///{name}?host={}&user=lookalike", self.folder)
     }
 
-    /// `stop`, `start` or `crash`; returns when it is done.
+    /// `stop`, `start`, `crash`, `freeze` or `thaw`; returns when it is done.
     pub(crate) fn order(&mut self, order: &str) {
         writeln!(self.orders, "{order}").unwrap();
         assert_eq!(line(&mut self.answers), "done", "{order}");

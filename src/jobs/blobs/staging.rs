@@ -14,6 +14,10 @@ use tokio_util::bytes::Bytes;
 use super::local::create_dirs;
 use crate::jobs::error::{Error, Result};
 
+/// So many bytes are written before the disk has to have them. A file that waits in memory for its end, however
+/// large, would then keep every commit of the database waiting that shares the disk.
+const UNSYNCED: u64 = 4 << 20;
+
 /// The folder.
 #[derive(Debug)]
 pub(super) struct Staging {
@@ -72,13 +76,14 @@ impl Staging {
         let path = self.folder.join(n.to_string());
         let file = File::create(&path).map_err(Error::io(&path))?;
         let staged = Staged { path, hash: String::new(), size: 0, committed: false };
-        Ok(Writer { file, hasher: blake3::Hasher::new(), staged })
+        Ok(Writer { file, hasher: blake3::Hasher::new(), n_unsynced: 0, staged })
     }
 }
 
 struct Writer {
     file: File,
     hasher: blake3::Hasher,
+    n_unsynced: u64,
     staged: Staged,
 }
 
@@ -89,7 +94,13 @@ impl Writer {
             return Err(Error::TooLarge { what: "the transfer".into(), limit });
         }
         self.hasher.update(bytes);
-        self.file.write_all(bytes).map_err(Error::io(&self.staged.path))
+        self.file.write_all(bytes).map_err(Error::io(&self.staged.path))?;
+        self.n_unsynced += bytes.len() as u64;
+        if self.n_unsynced >= UNSYNCED {
+            self.n_unsynced = 0;
+            self.file.sync_data().map_err(Error::io(&self.staged.path))?;
+        }
+        Ok(())
     }
 
     fn finish(mut self) -> Result<Staged> {

@@ -13,6 +13,7 @@ use crate::jobs::{
     Limits,
     error::{Error, Result},
     event::{CREATED_SEQ, ServerEvent},
+    points::{Point, pass},
     spec::Spec,
     state::Trigger,
 };
@@ -146,6 +147,7 @@ impl Store {
             let mut job = find(&mut tx, id).await?;
             let entry = state_entry(&job, "CREATED", "waiting for a worker".into());
             log(&mut tx, &mut job, now, &[entry]).await?;
+            pass(Point::CreateWritten);
             Ok((job, true))
         })
     }
@@ -263,6 +265,7 @@ impl Store {
                 return Err(Error::Illegal { job: job.name(), state: job.state, remedy });
             }
             sqlx::query("DELETE FROM jobs WHERE id = $1").bind(id).execute(&mut *tx).await?;
+            pass(Point::DeleteWritten);
             Ok(())
         })
     }
@@ -328,12 +331,21 @@ async fn renew(tx: &mut Tx, job: &mut Job) -> Result<()> {
 /// Why a job waits that had ended.
 const RETRIED: &str = "RETRIED";
 
-/// Refuses when as many jobs wait as may.
+/// Refuses when as many jobs wait as may. Waiting jobs are counted only where they may be so many, by the numbers
+/// of the first and the last of them: counting takes the longer the more there are.
 async fn check_queue(tx: &mut Tx, owner: &str, limits: &Limits) -> Result<()> {
-    owners::check_queue(tx, owner, limits.max_owner_queued).await?;
-    let query = sqlx::query_scalar::<_, i64>("SELECT count(*) FROM jobs WHERE state = 'QUEUED'");
-    if query.fetch_one(&mut **tx).await? as u64 >= limits.max_queued {
-        return Err(Error::QueueFull(limits.max_queued));
+    let query = "SELECT COALESCE((SELECT max(n) FROM jobs WHERE state = 'QUEUED') + 1 \
+                 - (SELECT min(n) FROM jobs WHERE state = 'QUEUED'), 0)";
+    let at_most = sqlx::query_scalar::<_, i64>(query).fetch_one(&mut **tx).await? as u64;
+    if at_most >= limits.max_owner_queued {
+        owners::check_queue(tx, owner, limits.max_owner_queued).await?;
+    }
+    if at_most >= limits.max_queued {
+        let query =
+            sqlx::query_scalar::<_, i64>("SELECT count(*) FROM jobs WHERE state = 'QUEUED'");
+        if query.fetch_one(&mut **tx).await? as u64 >= limits.max_queued {
+            return Err(Error::QueueFull(limits.max_queued));
+        }
     }
     Ok(())
 }

@@ -196,7 +196,8 @@ async fn the_audit_table_keeps_what_is_young(home: Home) {
     let [principal, owner, peer] = ["ann-laptop", "ann", "unix"].map(str::to_owned);
     // A stranger may ask for anything.
     let [method, resource, outcome] = ["GetJob", "jobs/\0é", "NOT_FOUND"].map(str::to_owned);
-    store.audit(&AuditEntry { principal, owner, peer, method, resource, outcome }).await.unwrap();
+    let entry = AuditEntry { principal, owner, peer, method, resource, outcome };
+    store.audit(&[entry]).await.unwrap();
     let resources = async || {
         let query = sqlx::query_scalar::<_, String>("SELECT resource FROM audit");
         query.fetch_all(&store.readers).await.unwrap()

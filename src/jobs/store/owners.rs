@@ -25,7 +25,7 @@ impl Store {
                 "INSERT INTO mesh_owners (owner, mesh) VALUES ($1, $2) ON CONFLICT DO NOTHING";
             let done = sqlx::query(insert).bind(owner).bind(hash).execute(&mut *tx).await?;
             let is_new = done.rows_affected() == 1;
-            if is_new && size > 0 {
+            if is_new && size > 0 && limit < u64::MAX {
                 let stored = sqlx::query_scalar::<_, i64>(STORED_BYTES).bind(owner);
                 if stored.fetch_one(&mut *tx).await? as u64 > limit {
                     // The bytes stay without an owner, and go with the meshes that nobody wants.
@@ -51,25 +51,13 @@ impl Store {
         Ok(query.fetch_one(&self.readers).await? as u64)
     }
 
-    /// Writes an entry of the audit table.
-    pub async fn audit(&self, entry: &AuditEntry) -> Result<()> {
+    /// Writes entries of the audit table.
+    pub async fn audit(&self, entries: &[AuditEntry]) -> Result<()> {
         transaction!(self, tx, {
             let now = now_ms(&mut tx).await?;
-            let insert = "INSERT INTO audit \
-                          (id, at_ms, principal, owner, peer, method, resource, outcome) \
-                          VALUES ($1, $2, $3, $4, $5, $6, $7, $8)";
-            let id = uuid::Uuid::now_v7().simple().to_string();
-            let texts = [
-                &entry.principal,
-                &entry.owner,
-                &entry.peer,
-                &entry.method,
-                &entry.resource,
-                &entry.outcome,
-            ];
-            let insert = sqlx::query(insert).bind(id).bind(now);
-            let insert = texts.into_iter().fold(insert, |insert, text| insert.bind(storable(text)));
-            insert.execute(&mut *tx).await?;
+            for entry in entries {
+                audit(&mut tx, entry, now).await?;
+            }
             Ok(())
         })
     }
@@ -84,6 +72,24 @@ impl Store {
             Ok(())
         })
     }
+}
+
+async fn audit(tx: &mut Tx, entry: &AuditEntry, now: i64) -> Result<()> {
+    let insert = "INSERT INTO audit (id, at_ms, principal, owner, peer, method, resource, outcome) \
+                  VALUES ($1, $2, $3, $4, $5, $6, $7, $8)";
+    let id = uuid::Uuid::now_v7().simple().to_string();
+    let texts = [
+        &entry.principal,
+        &entry.owner,
+        &entry.peer,
+        &entry.method,
+        &entry.resource,
+        &entry.outcome,
+    ];
+    let insert = sqlx::query(insert).bind(id).bind(now);
+    let insert = texts.into_iter().fold(insert, |insert, text| insert.bind(storable(text)));
+    insert.execute(&mut **tx).await?;
+    Ok(())
 }
 
 /// The job that an earlier request of the same owner and name made.

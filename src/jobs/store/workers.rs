@@ -15,6 +15,7 @@ use crate::jobs::{
     error::{Error, Result},
     event::{CREATED_SEQ, Report, ServerEvent},
     lease::{Claimant, Lease, Loss, Orders, Terms, verdict},
+    points::{Point, pass},
     state::Trigger,
 };
 
@@ -58,6 +59,7 @@ impl Store {
                 Some(job) => Some(start(&mut tx, job, &who, terms).await?),
                 None => None,
             };
+            pass(Point::ClaimWritten);
             Ok(Ok(job))
         });
         claimed?
@@ -103,6 +105,7 @@ impl Store {
                     "UPDATE jobs SET appended = $1, stage = $2, fraction = $3 WHERE id = $4";
                 let update = sqlx::query(update).bind(job.appended as i64).bind(&job.stage);
                 update.bind(job.fraction).bind(&job.id).execute(&mut *tx).await?;
+                pass(Point::AppendWritten);
             }
             Ok(Appended { held: job.appended, orders: job.orders() })
         })
@@ -120,6 +123,7 @@ impl Store {
                 sqlx::query(insert).bind(&lease.job).bind(lease.epoch as i64).bind(&artifact.file);
             let insert = insert.bind(storable(&artifact.media_type)).bind(artifact.size as i64);
             insert.bind(&artifact.blake3).execute(&mut *tx).await?;
+            pass(Point::ArtifactWritten);
             Ok(())
         })
     }
@@ -152,6 +156,7 @@ impl Store {
                     lose(&mut tx, job, loss, text, max_lost).await?
                 }
             };
+            pass(Point::CompleteWritten);
             Ok(job)
         })
     }

@@ -1,5 +1,6 @@
 //! Everything that is stored, as a whole: leases, logs, restarts; on every store.
 
+pub(super) mod crashes;
 #[path = "../../../tests/stores/postgres.rs"]
 mod postgres;
 #[path = "../../../tests/stores/s3.rs"]

@@ -22,7 +22,7 @@ use super::{
 };
 use crate::{
     jobs::{Jobs, audit::AuditEntry, principal::Principal},
-    service::{accept::Peer, call_name},
+    service::{accept::Peer, call_name, status::refusal},
 };
 
 /// Entries of refusals a second, lest strangers fill the disk; ten times as many may come at once.
@@ -148,7 +148,7 @@ where
     request.extensions_mut().insert(call.clone());
     // The token has done its work.
     request.headers_mut().remove("authorization");
-    let response = inner.call(request).await?;
+    let response = explained(inner.call(request).await?);
     let code = Status::from_header_map(response.headers()).map_or(Code::Ok, |s| s.code());
     gate.answered(method, &call, &peer, &path, code).await;
     Ok(held(response, admitted.stream))
@@ -191,7 +191,7 @@ impl GateLayer {
         let resource = resource.to_owned();
         let entry =
             AuditEntry { principal, owner, peer, method, resource, outcome: outcome.into() };
-        if let Err(error) = self.jobs.audit(&entry).await {
+        if let Err(error) = self.jobs.audit(entry).await {
             tracing::error!(%error, "the audit table cannot be written");
         }
     }
@@ -218,6 +218,36 @@ fn outcome(code: Code) -> &'static str {
         Code::DataLoss => "DATA_LOSS",
         Code::Unauthenticated => "UNAUTHENTICATED",
     }
+}
+
+/// Codes of refusals that do not come from a handler but from below it, where messages are read: what they
+/// become, a reason, and what to do.
+const BELOW: [(Code, Code, &str, &str); 3] = [
+    (Code::OutOfRange, Code::ResourceExhausted, "MESSAGE_TOO_LARGE", "send less at a time"),
+    (
+        Code::Internal,
+        Code::InvalidArgument,
+        "MALFORMED",
+        "run client and server of the same version",
+    ),
+    (
+        Code::Unimplemented,
+        Code::Unimplemented,
+        "UNSUPPORTED",
+        "use what the server's reflection tells of",
+    ),
+];
+
+/// The answer with an `ErrorInfo`, like any that comes from a handler.
+fn explained(response: Response<Body>) -> Response<Body> {
+    let status = Status::from_header_map(response.headers());
+    let bare = status.filter(|status| status.code() != Code::Ok && status.details().is_empty());
+    let Some(status) = bare else { return response };
+    let Some((_, code, reason, remedy)) = BELOW.iter().find(|row| row.0 == status.code()) else {
+        return response;
+    };
+    let text = format!("{}: {remedy}", status.message());
+    refusal(*code, reason, &text, None).into_http()
 }
 
 /// Counts the stream as open until its answer has been sent.

@@ -1,0 +1,228 @@
+//! What a bad tenant does to a good one: the 99th percentile of the good one's submissions, alone and under each
+//! kind of abuse.
+
+use std::{
+    net::SocketAddr,
+    path::Path,
+    process::Command,
+    time::{Duration, Instant},
+};
+
+use futures::{
+    StreamExt,
+    future::{BoxFuture, ready},
+    stream,
+};
+use lookalike::service::{
+    client::Connection,
+    proto::v1::{self, lookalike_service_client::LookalikeServiceClient},
+};
+use tokio::{task::JoinSet, time::sleep};
+
+use crate::{
+    Size,
+    page::{Abused, Waits},
+    raw,
+    stores::Stores,
+    support::{Server, create_request, lookalike, small_torus, torus, upload_as, with_token},
+};
+
+type Client = LookalikeServiceClient<Connection>;
+
+/// Connections of a flood, and of an upload.
+const N_FLOODS: usize = 8;
+const N_UPLOADS: usize = 4;
+/// A good tenant submits so often.
+const PAUSE: Duration = Duration::from_millis(20);
+
+/// The bad tenant.
+#[derive(Clone)]
+struct Bad {
+    url: String,
+    token: String,
+    /// A mesh of its own, and a job.
+    mesh: String,
+    job: String,
+    n_queued: usize,
+}
+
+/// Begins an abuse, which goes on until it is dropped.
+type Abuse = fn(Bad) -> BoxFuture<'static, JoinSet<()>>;
+
+const ABUSES: [(&str, Abuse); 6] = [
+    ("submits without a pause, 64 at a time", |bad| Box::pin(submissions(bad))),
+    ("has 10,000 jobs waiting", |bad| Box::pin(queue(bad))),
+    ("uploads files of 1 GiB, four at a time", |bad| Box::pin(ready(uploads(&bad)))),
+    ("holds 1,000 streams open and reads none", |bad| Box::pin(streams(bad))),
+    ("sends malformed frames, eight connections", |bad| Box::pin(ready(malformed(&bad)))),
+    ("floods with resets, eight connections", |bad| Box::pin(ready(resets(&bad)))),
+];
+
+/// How long the good tenant's submissions take under each abuse, and right before it.
+pub(crate) async fn take(stores: &mut Stores, size: Size) -> Vec<Abused> {
+    let folder = tempfile::tempdir().unwrap();
+    let tokens = ["good", "bad"].map(|name| token(folder.path(), name));
+    let file = format!("--tokens={}", folder.path().join("tokens.toml").display());
+    let server = stores.server(&[&file, "--max-mesh-mib=512"]);
+    let [good, mut bad] = tokens.clone().map(|token| with_token(&server, &token));
+    let mesh = upload_as(&mut bad, torus(50, 40)).await;
+    let created = bad.create_job(create_request(&mesh, "")).await.unwrap().into_inner();
+    let job = created.job.unwrap().name;
+    let [_, token] = tokens;
+    let bad = Bad { url: server.url.clone(), token, mesh, job, n_queued: size.n_queued };
+    let mut rows = Vec::new();
+    for (what, begin) in ABUSES {
+        let alone = Waits::of(submit(good.clone(), size.n_good).await);
+        let abuse = begin(bad.clone()).await;
+        let abused = Waits::of(submit(good.clone(), size.n_good).await);
+        drop(abuse);
+        eprintln!("{what}: {abused:?}, alone {alone:?}");
+        rows.push(Abused { what, alone, abused });
+        // What was begun comes to its end.
+        sleep(Duration::from_secs(1)).await;
+    }
+    check(&server);
+    rows
+}
+
+/// The server is the one that was started, and nothing in it has panicked.
+fn check(server: &Server) {
+    assert!(Path::new(&format!("/proc/{}/stat", server.pid())).exists());
+    assert!(!server.logged().contains("panicked"));
+}
+
+fn token(folder: &Path, name: &str) -> String {
+    let mut command: Command = lookalike();
+    command.args(["token", name, "--owner", name, "--role", "user", "--tokens"]);
+    let output = command.arg(folder.join("tokens.toml")).output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+    String::from_utf8(output.stdout).unwrap().trim().into()
+}
+
+/// Milliseconds that each submission of the good tenant takes.
+async fn submit(mut good: Client, n: usize) -> Vec<f64> {
+    let mesh = upload_as(&mut good, small_torus()).await;
+    let mut waits = Vec::with_capacity(n);
+    for _ in 0..n {
+        let start = Instant::now();
+        good.create_job(create_request(&mesh, "")).await.unwrap();
+        waits.push(start.elapsed().as_secs_f64() * 1e3);
+        sleep(PAUSE).await;
+    }
+    waits
+}
+
+impl Bad {
+    fn client(&self) -> Client {
+        let access = lookalike::service::client::Access {
+            token: Some(lookalike::service::auth::Secret::new(&self.token)),
+            ..Default::default()
+        };
+        let connection = lookalike::service::client::connection(&self.url, &access).unwrap();
+        LookalikeServiceClient::new(connection)
+    }
+
+    fn address(&self) -> SocketAddr {
+        self.url.strip_prefix("http://").unwrap().parse().unwrap()
+    }
+}
+
+async fn submissions(bad: Bad) -> JoinSet<()> {
+    let mut tasks = JoinSet::new();
+    for _ in 0..4 {
+        let (client, mesh) = (bad.client(), bad.mesh.clone());
+        tasks.spawn(async move {
+            let endless = std::iter::repeat(()).map(|()| {
+                let (mut client, request) = (client.clone(), create_request(&mesh, ""));
+                async move { drop(client.create_job(request).await) }
+            });
+            stream::iter(endless).buffer_unordered(16).for_each(async |()| {}).await;
+        });
+    }
+    sleep(Duration::from_millis(200)).await;
+    tasks
+}
+
+async fn queue(bad: Bad) -> JoinSet<()> {
+    let client = bad.client();
+    let creations = (0..bad.n_queued).map(|_| {
+        let (mut client, request) = (client.clone(), create_request(&bad.mesh, ""));
+        async move { client.create_job(request).await.unwrap() }
+    });
+    stream::iter(creations).buffer_unordered(16).for_each(async |_| {}).await;
+    JoinSet::new()
+}
+
+fn uploads(bad: &Bad) -> JoinSet<()> {
+    use v1::upload_mesh_request::Part;
+    let mut tasks = JoinSet::new();
+    for _ in 0..N_UPLOADS {
+        let mut client = bad.client();
+        tasks.spawn(async move {
+            loop {
+                let header = Part::Header(v1::UploadMeshHeader::default());
+                let chunks = std::iter::repeat_n(Part::Chunk(vec![7; 256 << 10].into()), 4096);
+                let parts = std::iter::once(header).chain(chunks);
+                let parts = parts.map(|part| v1::UploadMeshRequest { part: Some(part) });
+                let refused = client.upload_mesh(stream::iter(parts)).await;
+                assert!(refused.is_err(), "larger than any may be");
+            }
+        });
+    }
+    tasks
+}
+
+async fn streams(bad: Bad) -> JoinSet<()> {
+    let mut tasks = JoinSet::new();
+    for _ in 0..5 {
+        let (mut client, name) = (bad.client(), bad.job.clone());
+        let mut open = Vec::new();
+        for _ in 0..200 {
+            let watch = v1::WatchJobRequest { name: name.clone(), after_seq: 0 };
+            open.push(client.watch_job(watch).await.unwrap());
+        }
+        tasks.spawn(async move {
+            let _open = open;
+            std::future::pending::<()>().await;
+        });
+    }
+    tasks
+}
+
+fn malformed(bad: &Bad) -> JoinSet<()> {
+    let address = bad.address();
+    flood(move |i| {
+        let table = raw::malformed();
+        let bytes = table[i % table.len()].1.clone();
+        Box::pin(async move {
+            raw::send(address, &bytes).await;
+        })
+    })
+}
+
+fn resets(bad: &Bad) -> JoinSet<()> {
+    let (address, bytes) = (bad.address(), raw::reset_flood(1000));
+    flood(move |_| {
+        let bytes = bytes.clone();
+        Box::pin(async move {
+            raw::send(address, &bytes).await;
+        })
+    })
+}
+
+fn flood(
+    once: impl Fn(usize) -> BoxFuture<'static, ()> + Clone + Send + Sync + 'static,
+) -> JoinSet<()> {
+    let mut tasks = JoinSet::new();
+    for i in 0..N_FLOODS {
+        let once = once.clone();
+        tasks.spawn(async move {
+            let mut i = i;
+            loop {
+                once(i).await;
+                i += 1;
+            }
+        });
+    }
+    tasks
+}

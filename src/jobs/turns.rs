@@ -1,0 +1,77 @@
+//! Turns of owners: an owner that asks for much at once waits for itself, not everybody for it.
+//!
+//! The database does one thing after another where it must (jobs are created one at a time). Of each owner only
+//! [`AT_ONCE`] calls stand in that line; its others wait here, in the order in which they came.
+
+use std::{
+    collections::HashMap,
+    sync::{Arc, Mutex, PoisonError},
+};
+
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+
+/// One is at work, and one is ready to follow: a single owner loses nothing.
+const AT_ONCE: usize = 2;
+
+/// Who waits, by owner.
+#[derive(Debug, Default)]
+pub(super) struct Turns(Arc<Mutex<HashMap<String, Arc<Semaphore>>>>);
+
+/// An owner's turn, until it is dropped.
+#[derive(Debug)]
+pub(super) struct Turn {
+    turns: Turns,
+    owner: String,
+    permit: Option<OwnedSemaphorePermit>,
+}
+
+impl Turns {
+    /// Waits for a turn of this owner.
+    pub(super) async fn of(&self, owner: &str) -> Turn {
+        let line = Arc::clone(
+            self.lines().entry(owner.into()).or_insert_with(|| Arc::new(Semaphore::new(AT_ONCE))),
+        );
+        // Made before the wait: whoever gives up leaves nothing behind. No line is ever closed.
+        let mut turn = Turn { turns: Self(Arc::clone(&self.0)), owner: owner.into(), permit: None };
+        turn.permit = line.acquire_owned().await.ok();
+        turn
+    }
+
+    fn lines(&self) -> std::sync::MutexGuard<'_, HashMap<String, Arc<Semaphore>>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Drop for Turn {
+    fn drop(&mut self) {
+        let mut lines = self.turns.lines();
+        drop(self.permit.take());
+        // The map's own is the only one: nobody waits.
+        if lines.get(&self.owner).is_some_and(|line| Arc::strong_count(line) == 1) {
+            lines.remove(&self.owner);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use futures::FutureExt;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn owners_wait_for_themselves() {
+        let turns = Turns::default();
+        let (first, second) = (turns.of("ann").await, turns.of("ann").await);
+        assert!(turns.of("ann").now_or_never().is_none());
+        let bob = turns.of("bob").now_or_never().unwrap();
+        let mut third = Box::pin(turns.of("ann"));
+        assert!(third.as_mut().now_or_never().is_none());
+        drop(first);
+        let third = third.await;
+        drop((bob, third));
+        assert_eq!(turns.lines().len(), 1, "only ann is still there");
+        drop(second);
+        assert!(turns.lines().is_empty());
+    }
+}
