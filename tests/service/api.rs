@@ -279,7 +279,7 @@ async fn health_reflection_and_metrics_answer() {
     assert!(http_get(&server.metrics, "/readyz").ends_with("ready\n"));
 }
 
-fn http_get(address: &str, path: &str) -> String {
+pub(crate) fn http_get(address: &str, path: &str) -> String {
     let mut socket = TcpStream::connect(address).unwrap();
     write!(socket, "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").unwrap();
     let mut answer = String::new();

@@ -18,15 +18,18 @@ use lookalike::{
     },
 };
 use rustix::process::Signal;
+use serde_json::json;
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
 use crate::{
+    api::http_get,
     processes::{reasons, running},
     support::{
         Client, LONG_JOB, Server, create, create_request, ended, eventually, job, log, lookalike,
         signal, small_torus, state, upload,
     },
+    web::Web,
 };
 
 /// A worker of this test's own process, which runs `pipeline` for every job.
@@ -111,8 +114,7 @@ async fn a_bad_worker_is_taken_out_of_service_and_its_jobs_are_done_elsewhere() 
     let history: Vec<_> = history.iter().map(|a| (&*a.host, &*a.reason, a.counts)).collect();
     let (done, failed) = ("COMPLETED", "ATTEMPT_FAILED");
     assert_eq!(history, [("workers/good", done, false), ("workers/bad", failed, true)]);
-    let metrics = reqwest::get(format!("http://{}/metrics", server.metrics)).await.unwrap();
-    let metrics = metrics.text().await.unwrap();
+    let metrics = http_get(&server.metrics, "/metrics");
     assert!(metrics.contains("lookalike_quarantines_total 1"), "{metrics}");
     assert!(metrics.contains("lookalike_workers{state=\"quarantined\"} 1"), "{metrics}");
     assert!(server.logged().contains("out of service"));
@@ -282,9 +284,8 @@ async fn what_did_not_succeed_can_be_retried() {
     let created = client.create_job(create_request(&mesh, "")).await.unwrap();
     let bad = created.into_inner().job.unwrap().name;
     let failed = ended(&client, &bad).await;
-    let url = format!("{}/api/v1/{bad}:retry", server.url);
-    let answer = reqwest::Client::new().post(url).header("content-type", "application/json");
-    assert_eq!(answer.body("{}").send().await.unwrap().status(), 200);
+    let answer = Web::new(&server, None).post(&format!("/api/v1/{bad}:retry"), json!({})).await;
+    assert_eq!(answer.status(), 200);
     let again = eventually("the second end", || {
         let (mut client, bad) = (client.clone(), bad.clone());
         async move {

@@ -21,14 +21,14 @@ use crate::{
 };
 
 /// A caller of the routes.
-struct Web {
+pub(crate) struct Web {
     http: reqwest::Client,
     url: String,
     token: Option<String>,
 }
 
 impl Web {
-    fn new(server: &Server, token: Option<String>) -> Self {
+    pub(crate) fn new(server: &Server, token: Option<String>) -> Self {
         // The client asks for a provider of TLS even where there is none to speak.
         let _ = rustls::crypto::ring::default_provider().install_default();
         let http = reqwest::Client::builder().no_proxy().build().unwrap();
@@ -53,7 +53,7 @@ impl Web {
         self.send("GET", path, &[], "").await
     }
 
-    async fn post(&self, path: &str, body: Value) -> Response {
+    pub(crate) async fn post(&self, path: &str, body: Value) -> Response {
         self.send("POST", path, &[("content-type", "application/json")], body.to_string()).await
     }
 

@@ -168,6 +168,20 @@ def test_cancelling_a_running_and_a_waiting_job(client: lookalike.Client) -> Non
         client.job(waiting.job)
 
 
+def test_a_cancelled_job_is_done_when_it_is_retried(client: lookalike.Client) -> None:
+    busy = client.simplify(ball(6, subdivisions=5), triangles=10, **LONG)
+    waiting = client.simplify(ball(9, subdivisions=2), triangles=12, **QUICK)
+    assert waiting.cancel().state == job_pb2.JOB_STATE_CANCELLED
+    assert client.retry(waiting.job).state in (
+        job_pb2.JOB_STATE_QUEUED,
+        job_pb2.JOB_STATE_RUNNING,
+    )
+    busy.cancel()
+    assert len(client.run(waiting.job, progress=False).result().lods) == 1
+    with pytest.raises(lookalike.Refused, match="submit it again"):
+        client.retry(waiting.job)
+
+
 def test_faults_are_told_by_name(client: lookalike.Client) -> None:
     with pytest.raises(lookalike.Refused) as refused:
         client.simplify(ball(7, subdivisions=1), triangles=[50, 0], n_views=5, progress=False)

@@ -26,7 +26,7 @@ const STAYS: Duration = Duration::from_hours(24);
 pub struct Worker {
     /// Its name.
     pub host: String,
-    /// The incarnation that was last heard of.
+    /// An incarnation that was heard of then.
     pub worker: String,
     /// Version of that one's program.
     pub version: String,
@@ -120,13 +120,15 @@ pub(super) async fn check_in(
     terms: &Terms,
     now: i64,
 ) -> Result<Option<Error>> {
-    let upsert = "INSERT INTO workers (host, worker, version, seen_ms) VALUES ($1, $2, $3, $4) \
-                  ON CONFLICT (host) DO UPDATE SET worker = excluded.worker, \
-                  version = excluded.version, seen_ms = excluded.seen_ms \
-                  WHERE workers.worker <> excluded.worker OR workers.seen_ms < $5";
-    let upsert = sqlx::query(upsert).bind(&who.host).bind(&who.worker).bind(&who.version);
-    upsert.bind(now).bind(now - seldom(terms)).execute(&mut **tx).await?;
-    let Some(worker) = find(tx, &who.host, now).await? else { return Ok(None) };
+    let known = find(tx, &who.host, now).await?;
+    if known.as_ref().is_none_or(|worker| worker.seen_ms < now - seldom(terms)) {
+        let upsert = "INSERT INTO workers (host, worker, version, seen_ms) VALUES ($1, $2, $3, $4) \
+                      ON CONFLICT (host) DO UPDATE SET worker = excluded.worker, \
+                      version = excluded.version, seen_ms = excluded.seen_ms";
+        let upsert = sqlx::query(upsert).bind(&who.host).bind(&who.worker).bind(&who.version);
+        upsert.bind(now).execute(&mut **tx).await?;
+    }
+    let Some(worker) = known else { return Ok(None) };
     let Worker { host, why, quarantined_until_ms: until_ms, drained, .. } = worker;
     if drained {
         let why = "an administrator has drained it".into();
