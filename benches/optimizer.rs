@@ -54,6 +54,7 @@ use lookalike::{
         view::{Projection, ViewParams, cameras, directions},
     },
     simplify::{self, Policy, Rules, Simplifier},
+    tape::Tape,
 };
 
 use support::cpu_seconds;
@@ -199,7 +200,7 @@ fn optimize(
     let set = |turn| ViewSet::turned(stage.original, &stage.pictures, center, turn);
     let sets: Vec<ViewSet> = (0..n_sets as u64).map(set).collect();
     let mut show = |set: usize, mesh: &EditMesh| Ok(stage.shown(mesh, &sets[set]));
-    alternate::<OptimizeError>(mesh, params, turns, &sets, &mut show, &mut on)
+    alternate::<OptimizeError>(mesh, params, turns, (&sets, &Tape::off()), &mut show, &mut on)
         .expect("the twin never fails")
 }
 

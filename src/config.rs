@@ -58,9 +58,19 @@ pub(crate) struct ServeArgs {
     /// Seconds of work between checkpoints, which is what a job whose worker is lost has to do again; 0 for none.
     #[arg(long, env = "LOOKALIKE_CHECKPOINT_SECS", default_value_t = 10.0, value_name = "SECS")]
     pub(crate) checkpoint_secs: f64,
-    /// A job fails as POISONED when it lost this many attempts.
+    /// A job fails as POISONED when this many workers have lost it.
     #[arg(long, env = "LOOKALIKE_MAX_ATTEMPTS", default_value_t = 3, value_name = "N")]
     pub(crate) max_attempts: u32,
+    /// A host that loses this many different jobs in a row gets no more for a while. Default: 3, or as --max-attempts
+    /// where that is more.
+    #[arg(long, env = "LOOKALIKE_MAX_IN_A_ROW", value_name = "N")]
+    pub(crate) max_in_a_row: Option<u32>,
+    /// How long that is, in seconds.
+    #[arg(long, env = "LOOKALIKE_QUARANTINE_SECS", default_value_t = 600.0, value_name = "SECS")]
+    pub(crate) quarantine_secs: f64,
+    /// Seconds after which a job that waits gets the worker of one of lower priority.
+    #[arg(long, env = "LOOKALIKE_PREEMPT_AFTER_SECS", default_value_t = 5.0, value_name = "SECS")]
+    pub(crate) preempt_after_secs: f64,
     /// Jobs that may wait at once.
     #[arg(long, env = "LOOKALIKE_MAX_QUEUED", default_value_t = 100_000, value_name = "N")]
     pub(crate) max_queued: u64,
@@ -168,8 +178,14 @@ impl ServeArgs {
             let text = "a lease must outlive one missed sign of life";
             faults.push(format!("--heartbeat-secs is more than half of --lease-secs: {text}"));
         }
-        if self.max_attempts == 0 {
-            faults.push("--max-attempts 0: use at least 1".into());
+        let quarantine = seconds(&mut faults, "--quarantine-secs", self.quarantine_secs);
+        let preempt_after = seconds(&mut faults, "--preempt-after-secs", self.preempt_after_secs);
+        let usual = Terms::default().max_in_a_row.max(self.max_attempts);
+        let max_in_a_row = self.max_in_a_row.unwrap_or(usual);
+        for (flag, n) in [("--max-attempts", self.max_attempts), ("--max-in-a-row", max_in_a_row)] {
+            if n == 0 {
+                faults.push(format!("{flag} 0: use at least 1"));
+            }
         }
         let webhooks = self.webhooks.check(&mut faults);
         let places = self.stores.places(&self.data_dir, &mut faults);
@@ -182,7 +198,15 @@ impl ServeArgs {
             places,
             n_workers: self.workers,
             device: self.device,
-            terms: Terms { lease, heartbeat, max_lost: self.max_attempts, checkpoint },
+            terms: Terms {
+                lease,
+                heartbeat,
+                max_lost: self.max_attempts,
+                max_in_a_row,
+                quarantine,
+                preempt_after,
+                checkpoint,
+            },
             limits: Limits {
                 max_mesh_bytes: self.max_mesh_mib.saturating_mul(1 << 20),
                 max_queued: self.max_queued,

@@ -31,7 +31,7 @@ impl Waits {
 pub(crate) struct Abused {
     pub(crate) what: &'static str,
     pub(crate) alone: Waits,
-    pub(crate) meanwhile: Waits,
+    pub(crate) beset: Waits,
 }
 
 pub(crate) type Abuses = (&'static str, Vec<Abused>);
@@ -57,10 +57,9 @@ pub(crate) fn section(figures: &[Figures], abuses: &[Abuses], note: Option<&str>
     for (name, rows) in abuses {
         let _ = write!(text, "\n| {name}: while the bad tenant | p50 (ms) | alone | p99 (ms) ");
         text += "| alone | p99, of alone |\n|---|---:|---:|---:|---:|---:|";
-        for Abused { what, alone, meanwhile } in rows {
-            let times =
-                [meanwhile.p50, alone.p50, meanwhile.p99, alone.p99].map(number).join(" | ");
-            let _ = write!(text, "\n| {what} | {times} | {:.2} |", meanwhile.p99 / alone.p99);
+        for Abused { what, alone, beset } in rows {
+            let times = [beset.p50, alone.p50, beset.p99, alone.p99].map(number).join(" | ");
+            let _ = write!(text, "\n| {what} | {times} | {:.2} |", beset.p99 / alone.p99);
         }
         text += "\n";
     }

@@ -74,10 +74,10 @@ pub(crate) async fn take(stores: &mut Stores, size: Size) -> Vec<Abused> {
     for (what, begin) in ABUSES {
         let alone = Waits::of(submit(good.clone(), size.n_good).await);
         let abuse = begin(bad.clone()).await;
-        let meanwhile = Waits::of(submit(good.clone(), size.n_good).await);
+        let beset = Waits::of(submit(good.clone(), size.n_good).await);
         drop(abuse);
-        eprintln!("{what}: {meanwhile:?}, alone {alone:?}");
-        rows.push(Abused { what, alone, meanwhile });
+        eprintln!("{what}: {beset:?}, alone {alone:?}");
+        rows.push(Abused { what, alone, beset });
         // What was begun comes to its end.
         sleep(Duration::from_secs(1)).await;
     }

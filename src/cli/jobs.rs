@@ -1,4 +1,4 @@
-//! `lookalike jobs`, `cancel` and `delete`.
+//! `lookalike jobs`, `cancel`, `retry`, `pin` and `delete`.
 
 use std::time::Duration;
 
@@ -41,6 +41,15 @@ pub(crate) struct CancelArgs {
     /// Return as soon as the request is noted, before the worker confirms.
     #[arg(long)]
     no_wait: bool,
+    #[command(flatten)]
+    server: ServerArgs,
+}
+
+/// Flags of `lookalike retry`.
+#[derive(Args, Debug)]
+pub(crate) struct RetryArgs {
+    /// The job, `jobs/{id}` or just the id.
+    job: String,
     #[command(flatten)]
     server: ServerArgs,
 }
@@ -104,6 +113,17 @@ pub(crate) async fn cancel(args: CancelArgs) -> Result<(), Failure> {
         }
         _ => Ok(()),
     }
+}
+
+pub(crate) async fn retry(args: RetryArgs) -> Result<(), Failure> {
+    let remote = Remote::connect(&args.server).await?;
+    let request = v1::RetryJobRequest { name: job_name(&args.job) };
+    let answer = remote.call(|mut client| {
+        let request = request.clone();
+        async move { client.retry_job(request).await }
+    });
+    print(&job_line(&remote.present(answer.await?.job)?));
+    Ok(())
 }
 
 pub(crate) async fn pin(args: PinArgs) -> Result<(), Failure> {

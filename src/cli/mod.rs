@@ -25,6 +25,7 @@ mod submit;
 mod token;
 mod watch;
 mod worker;
+mod workers;
 
 use std::process::ExitCode;
 
@@ -56,10 +57,14 @@ enum Command {
     Jobs(jobs::JobsArgs),
     /// Cancel a job.
     Cancel(jobs::CancelArgs),
+    /// Queue a job anew that failed or was cancelled.
+    Retry(jobs::RetryArgs),
     /// Keep the results of a job beyond the time that the server keeps them.
     Pin(jobs::PinArgs),
     /// Delete a job that has ended, with its results.
     Delete(jobs::DeleteArgs),
+    /// List the workers of a server, take one out of service or back into it (administrators).
+    Workers(workers::WorkersArgs),
     /// Fetch the results of a job.
     Fetch(fetch::FetchArgs),
     /// Simplify a file in this process, without a server.
@@ -140,8 +145,10 @@ async fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Watch(args) => watch::run(args).await,
         Command::Jobs(args) => jobs::list(args).await,
         Command::Cancel(args) => jobs::cancel(args).await,
+        Command::Retry(args) => jobs::retry(args).await,
         Command::Pin(args) => jobs::pin(args).await,
         Command::Delete(args) => jobs::delete(args).await,
+        Command::Workers(args) => workers::run(args).await,
         Command::Fetch(args) => fetch::run(args).await,
         Command::Run(args) => run::run(args).await,
         Command::Optimize(args) => optimize::run(*args).await,

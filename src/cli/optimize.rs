@@ -67,7 +67,12 @@ pub(crate) async fn run(args: OptimizeCommandArgs) -> Result<(), Failure> {
     if !args.remote {
         return here(spec, &args.original, Some(&args.simplified), args.here).await;
     }
-    let request =
-        Request { id: None, out: Some(args.here.out), no_wait: false, webhook: String::new() };
+    let request = Request {
+        id: None,
+        out: Some(args.here.out),
+        no_wait: false,
+        webhook: String::new(),
+        priority: 0,
+    };
     submit(&args.server, &args.original, Some(&args.simplified), spec, request).await
 }

@@ -117,7 +117,7 @@ async fn deadline(stop_workers: &CancellationToken, stop_serving: &CancellationT
     }
 }
 
-/// Takes away leases that ran out, until the end.
+/// Takes away leases that ran out, and makes room for jobs of higher priority, until the end.
 async fn sweep(
     jobs: &Jobs,
     observer: &Observer,
@@ -125,12 +125,18 @@ async fn sweep(
     stop: &CancellationToken,
 ) -> anyhow::Result<()> {
     let mut tick = tokio::time::interval(SWEEP.min(lease / 4));
+    let mut room = tokio::time::interval(SWEEP);
+    room.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
     tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
     loop {
         tokio::select! {
             _ = tick.tick() => match jobs.sweep_leases().await {
                 Ok(lost) => observer.lost(&lost),
                 Err(error) => tracing::error!(%error, "leases cannot be checked"),
+            },
+            _ = room.tick() => match jobs.preempt().await {
+                Ok(asked) => observer.preempted(&asked),
+                Err(error) => tracing::error!(%error, "no room can be made for jobs that wait"),
             },
             () = stop.cancelled() => return Ok(()),
         }
@@ -166,6 +172,7 @@ fn refresh(jobs: Jobs, observer: Arc<Observer>) -> telemetry::Refresh {
         Box::pin(async move {
             let counts = jobs.counts().await.map_err(|error| error.to_string())?;
             observer.depth(&counts);
+            observer.fleet(&jobs.workers().await.map_err(|error| error.to_string())?);
             Ok(())
         })
     })

@@ -37,6 +37,9 @@ pub(crate) struct SubmitArgs {
     webhook: String,
     #[command(flatten)]
     job: JobArgs,
+    /// Jobs of higher priority come first: -10 to 10, more than 0 for administrators.
+    #[arg(long, default_value_t = 0, allow_negative_numbers = true, value_name = "N")]
+    priority: i32,
     #[command(flatten)]
     server: ServerArgs,
 }
@@ -48,6 +51,7 @@ pub(crate) async fn run(args: SubmitArgs) -> Result<(), Failure> {
         out: args.out,
         no_wait: args.no_wait,
         webhook: args.webhook,
+        priority: args.priority,
     };
     submit(&args.server, &args.file, None, spec, request).await
 }
@@ -63,6 +67,8 @@ pub(crate) struct Request {
     pub(crate) no_wait: bool,
     /// Called when the job has ended; empty for nobody.
     pub(crate) webhook: String,
+    /// Those of higher priority come first.
+    pub(crate) priority: i32,
 }
 
 /// Uploads the original, and what it was simplified to where that is to be optimized; creates the
@@ -93,6 +99,7 @@ pub(crate) async fn submit(
         file_name: file_name(original),
         spec: Some(convert::spec_to_wire(&spec)),
         webhook_url: request.webhook,
+        priority: request.priority,
     };
     let job = create(&remote, wanted).await?;
     if request.no_wait {

@@ -14,23 +14,26 @@ use super::{
     clients::Announced,
     error::{Error, Result},
     event::Report,
-    lease::Lease,
+    lease::{Claimant, Lease, Loss, Orders},
     points::{Point, pass},
     segment,
     state::State,
-    store::{Appended, Artifact, Job, Outcome, Piece},
+    store::{Appended, Artifact, Attempt, Job, Outcome, Piece, Worker},
 };
 
 /// The queue is looked at this often even when nobody calls.
 const POLL: Duration = Duration::from_secs(2);
+/// Attempts of a job that are shown.
+const MAX_HISTORY: u32 = 100;
 
 impl Jobs {
-    /// Gives the oldest queued job to `worker`, waiting up to `wait` for one.
-    pub async fn claim(&self, worker: &str, wait: Duration) -> Result<Option<Job>> {
+    /// Gives a queued job to a worker, waiting up to `wait` for one; refused when its host is out of service.
+    pub async fn claim(&self, who: impl Into<Claimant>, wait: Duration) -> Result<Option<Job>> {
+        let who = who.into();
         let deadline = Instant::now() + wait;
         let mut queue = self.0.signals.watch_queue();
         loop {
-            if let Some(job) = self.0.store.claim(worker, &self.0.terms).await? {
+            if let Some(job) = self.0.store.claim(&who, &self.0.terms).await? {
                 pass(Point::ClaimCommitted);
                 self.0.signals.log_grew(&job.id);
                 return Ok(Some(job));
@@ -44,8 +47,8 @@ impl Jobs {
         }
     }
 
-    /// Extends a lease; true when the worker should stop.
-    pub async fn heartbeat(&self, lease: &Lease) -> Result<bool> {
+    /// Extends a lease; what the worker should do.
+    pub async fn heartbeat(&self, lease: &Lease) -> Result<Orders> {
         self.0.store.heartbeat(lease, &self.0.terms).await
     }
 
@@ -75,8 +78,7 @@ impl Jobs {
         // Refuse a stale worker before it fills the disk; the transaction checks again.
         let job = self.0.store.check(lease).await?;
         if first + reports.len() as u64 <= job.appended {
-            let cancel_requested = job.cancel_requested;
-            return Ok(Appended { held: job.appended, cancel_requested });
+            return Ok(Appended { held: job.appended, orders: job.orders() });
         }
         let pack = tokio::task::spawn_blocking(move || segment::pack(first, reports));
         let (segments, entries) = pack.await??;
@@ -115,6 +117,33 @@ impl Jobs {
         self.0.store.add_artifact(lease, &stored).await?;
         pass(Point::ArtifactCommitted);
         Ok(())
+    }
+
+    /// The latest attempts of a job, the last one first.
+    pub async fn attempts(&self, id: &str) -> Result<Vec<Attempt>> {
+        self.0.store.attempts(id, MAX_HISTORY).await
+    }
+
+    /// The hosts that have asked for work, by name.
+    pub async fn workers(&self) -> Result<Vec<Worker>> {
+        self.0.store.workers().await
+    }
+
+    /// Takes a host out of service.
+    pub async fn drain(&self, host: &str) -> Result<Worker> {
+        self.0.store.drain(host).await
+    }
+
+    /// Takes back whatever a worker holds that ends in peace; the jobs concerned.
+    pub async fn leave(&self, worker: &str) -> Result<Vec<Job>> {
+        self.lose_worker(worker, Loss::Released).await
+    }
+
+    /// Takes a host back into service.
+    pub async fn reinstate(&self, host: &str) -> Result<Worker> {
+        let worker = self.0.store.reinstate(host).await?;
+        self.0.signals.queue_grew();
+        Ok(worker)
     }
 
     /// What the worker that has just claimed the job goes on from: pieces of a checkpoint. None where it starts

@@ -47,6 +47,9 @@ impl Announced {
     }
 }
 
+/// Priorities of jobs; 0 where nothing is said.
+pub const PRIORITIES: std::ops::RangeInclusive<i32> = -10..=10;
+
 impl Jobs {
     /// A mesh that is stored already, and that `owner` has uploaded.
     pub async fn find_mesh(&self, owner: &str, hash: &str) -> Result<Option<StoredMesh>> {
@@ -120,6 +123,10 @@ impl Jobs {
         if id.len() > 128 || !id.bytes().all(|c| c.is_ascii_graphic() || c == b' ') {
             fault("request_id", "use at most 128 printable ASCII characters".into());
         }
+        if !PRIORITIES.contains(&new.priority) {
+            let (low, high) = (PRIORITIES.start(), PRIORITIES.end());
+            fault("priority", format!("{}: use {low} to {high}", new.priority));
+        }
         for (prefix, mesh, file_name) in inputs(new) {
             if !is_hash(mesh) {
                 let text = "use the name that UploadMesh returned, `meshes/{hash}`";
@@ -168,6 +175,17 @@ impl Jobs {
         let cancelled = self.0.store.cancel(id).await?;
         self.0.signals.log_grew(id);
         Ok(cancelled)
+    }
+
+    /// Queues a job anew that failed or was cancelled. One that waits or runs is left alone.
+    pub async fn retry(&self, id: &str) -> Result<Job> {
+        let (job, is_new) = self.0.store.retry(id, &self.0.limits).await?;
+        if is_new {
+            self.0.signals.log_grew(id);
+            self.0.signals.queue_grew();
+            self.0.blobs.remove_artifacts_before(id, job.epoch + 1).await?;
+        }
+        Ok(job)
     }
 
     /// Deletes an ended job with its log and artifacts.
@@ -257,6 +275,7 @@ mod tests {
             mesh: used.clone(),
             file_name,
             spec,
+            priority: 0,
             webhook: String::new(),
         };
         jobs.create(new, vec![]).await.unwrap();

@@ -36,6 +36,22 @@ pub enum Error {
         /// What holds instead.
         why: String,
     },
+    /// A host gets no jobs for now.
+    #[error(
+        "worker {host} is out of service: {why}; mend it, then say so with \
+         `lookalike workers reinstate {host}`{}",
+        again(*.until_ms)
+    )]
+    OutOfService {
+        /// Which.
+        host: String,
+        /// What speaks against it.
+        why: String,
+        /// When it gets jobs again by itself, milliseconds since 1970.
+        until_ms: Option<i64>,
+        /// It was found out just now.
+        is_news: bool,
+    },
     /// A batch of events leaves a gap.
     #[error("events from {first} on do not follow the {held} that are held: send them from {held}")]
     Gap {
@@ -123,6 +139,10 @@ pub enum Error {
     Task(#[from] tokio::task::JoinError),
 }
 
+fn again(until_ms: Option<i64>) -> &'static str {
+    if until_ms.is_some() { "; it is tried again after a while" } else { "" }
+}
+
 /// What an owner may have only so much of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Quota {
@@ -156,6 +176,9 @@ const PASSING: [&str; 14] = [
     "5", "261", "517", "773",
 ];
 
+/// What it says when a transaction lost against another one: serialization failure, deadlock; a snapshot too old.
+const LOST: [&str; 3] = ["40001", "40P01", "517"];
+
 impl Error {
     /// Nothing is wrong with the request: the same may work in a moment.
     pub fn is_passing(&self) -> bool {
@@ -166,6 +189,16 @@ impl Error {
             Self::Sql(sqlx::Error::Database(error)) => {
                 // Class 08: the connection.
                 error.code().is_some_and(|code| PASSING.contains(&&*code) || code.starts_with("08"))
+            }
+            _ => false,
+        }
+    }
+
+    /// A transaction lost against another one, and nothing of it has happened.
+    pub fn has_lost(&self) -> bool {
+        match self {
+            Self::Sql(sqlx::Error::Database(error)) => {
+                error.code().is_some_and(|code| LOST.contains(&&*code))
             }
             _ => false,
         }

@@ -1,7 +1,8 @@
 //! The event log of a job: what its worker reports, and what the server adds.
 //!
 //! 1. A log is append-only; its numbers start at 1, have no gaps and are never reused.
-//! 2. The first entry says that the job was created; the last one of an ended job says how it ended.
+//! 2. The first entry says that the job was created; the last one of an ended job says how it ended. A retry goes on
+//!    behind it.
 //!
 //! Knows nothing of how entries are stored or sent.
 

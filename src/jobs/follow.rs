@@ -30,11 +30,13 @@ struct Follower {
     /// The segment last unpacked: neighbours in the log share it.
     segment: (String, Vec<u8>),
     ended: bool,
+    /// The last entry that was handed out ended the job.
+    saw_end: bool,
 }
 
 impl Jobs {
-    /// The log of a job after `after_seq`, live; ends after the entry that ended the job. Fails when
-    /// there is no such job, also when it is deleted meanwhile.
+    /// The log of a job after `after_seq`, live; ends after the entry that ended the job for the last time. Fails when
+    /// there is no such job, also when it is deleted before its end was seen.
     pub fn follow(&self, id: &str, after_seq: u64) -> impl Stream<Item = Result<Event>> + use<> {
         let follower = Follower {
             jobs: self.clone(),
@@ -44,6 +46,7 @@ impl Jobs {
             grew: self.0.signals.watch_log(id),
             segment: Default::default(),
             ended: false,
+            saw_end: false,
         };
         futures::stream::try_unfold(follower, |mut follower| async move {
             Ok(follower.next().await?.map(|event| (event, follower)))
@@ -56,7 +59,10 @@ impl Follower {
         while self.page.is_empty() && !self.ended {
             self.grew.mark_unchanged();
             // The job first: if it has ended, the page that follows holds the last entry.
-            let job = self.jobs.job(&self.id).await?;
+            let job = match self.jobs.job(&self.id).await {
+                Err(Error::NotFound(_)) if self.saw_end => return Ok(None),
+                found => found?,
+            };
             let page = self.jobs.0.store.events(&self.id, self.last_seq, PAGE).await?;
             self.ended = page.is_empty() && job.state.is_final();
             if page.is_empty() && !self.ended {
@@ -73,7 +79,7 @@ impl Follower {
             *bytes = self.read(event.epoch, range).await?;
         }
         self.last_seq = event.seq;
-        self.ended = event.body.state().is_some_and(super::state::State::is_final);
+        self.saw_end = event.body.state().is_some_and(super::state::State::is_final);
         Ok(Some(event))
     }
 

@@ -193,6 +193,11 @@ impl Jobs {
         Ok(lost)
     }
 
+    /// Asks workers to hand back jobs, where others of higher priority wait. To be called now and then; the jobs.
+    pub async fn preempt(&self) -> Result<Vec<Job>> {
+        self.0.store.preempt(&self.0.terms).await
+    }
+
     /// Takes away what a worker holds whose process is known to have ended; the jobs concerned.
     pub async fn worker_gone(&self, worker: &str) -> Result<Vec<Job>> {
         let _ = fs::remove_file(self.worker_lock(worker));
@@ -232,6 +237,7 @@ impl Jobs {
     /// while they may be on their way to one.
     async fn sweep_orphans(&self) -> Result<()> {
         self.0.store.forget_audit(self.0.limits.keep_audit).await?;
+        self.0.store.forget_workers().await?;
         let mut unknown = self.0.store.forget_meshes(self.0.limits.keep_meshes).await?;
         pass(Point::MeshesForgotten);
         let old = SystemTime::now() - ORPHANS_STAY;

@@ -14,10 +14,10 @@ use super::{
     blobs::Blob,
     clients::{Announced, StoredMesh},
     error::{Error, Quota, Result},
-    principal::{Listed, Principal},
+    principal::{Act, Listed, Principal},
     spec::Fault,
     state::State,
-    store::{Artifact, Job, NewJob},
+    store::{Artifact, Attempt, Job, NewJob},
 };
 
 /// What one principal may see and do.
@@ -51,8 +51,12 @@ impl Desk<'_> {
     }
 
     /// Creates a job; `faults` are those that the caller found already.
-    pub async fn create(&self, new: NewJob, faults: Vec<Fault>) -> Result<Job> {
+    pub async fn create(&self, new: NewJob, mut faults: Vec<Fault>) -> Result<Job> {
         self.check_bytes().await?;
+        if new.priority > 0 && !self.who.role.may(Act::Manage) {
+            let text = "only administrators may put a job before those of others: use 0 or less";
+            faults.push(Fault { field: "priority".into(), text: text.into() });
+        }
         self.jobs.create(NewJob { owner: self.who.owner.clone(), ..new }, faults).await
     }
 
@@ -60,6 +64,11 @@ impl Desk<'_> {
     pub async fn job(&self, id: &str) -> Result<Job> {
         let job = self.jobs.job(id).await?;
         if self.who.sees(&job.owner) { Ok(job) } else { Err(Error::NotFound(job.name())) }
+    }
+
+    /// One job, and its latest attempts, the last one first.
+    pub async fn job_and_attempts(&self, id: &str) -> Result<(Job, Vec<Attempt>)> {
+        Ok((self.job(id).await?, self.jobs.attempts(id).await?))
     }
 
     /// Jobs of `owner` (all that may be seen when empty) in one of `states` (all when empty), newest
@@ -83,6 +92,13 @@ impl Desk<'_> {
     pub async fn cancel(&self, id: &str) -> Result<(Job, bool)> {
         self.job(id).await?;
         self.jobs.cancel(id).await
+    }
+
+    /// Queues a job anew that failed or was cancelled.
+    pub async fn retry(&self, id: &str) -> Result<Job> {
+        self.job(id).await?;
+        self.check_bytes().await?;
+        self.jobs.retry(id).await
     }
 
     /// Keeps the results of a job beyond their time, or no longer so.
@@ -167,6 +183,7 @@ mod tests {
             mesh: mesh.into(),
             file_name,
             spec,
+            priority: 0,
             webhook: String::new(),
         }
     }

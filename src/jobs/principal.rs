@@ -30,6 +30,8 @@ pub enum Act {
     Write,
     /// Takes work and reports on it.
     Work,
+    /// Looks after the workers.
+    Manage,
 }
 
 struct RoleRow {
@@ -44,7 +46,7 @@ const ROLES: [RoleRow; 4] = [
     RoleRow { role: Role::Viewer, name: "viewer", sees_all: false, may: &[Act::Read] },
     RoleRow { role: Role::User,   name: "user",   sees_all: false, may: &[Act::Read, Act::Write] },
     RoleRow { role: Role::Worker, name: "worker", sees_all: false, may: &[Act::Work] },
-    RoleRow { role: Role::Admin,  name: "admin",  sees_all: true,  may: &[Act::Read, Act::Write, Act::Work] },
+    RoleRow { role: Role::Admin,  name: "admin",  sees_all: true,  may: &[Act::Read, Act::Write, Act::Work, Act::Manage] },
 ];
 
 impl Role {

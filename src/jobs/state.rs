@@ -2,7 +2,7 @@
 //!
 //! 1. `TRANSITIONS` is the only place that says what may follow what; everything that writes a
 //!    state goes through [`State::after`].
-//! 2. The states without a row of their own are final.
+//! 2. The states that nothing leaves but a retry are final.
 //!
 //! Knows nothing of leases, storage or reasons.
 
@@ -39,15 +39,19 @@ pub enum Trigger {
     Cancel,
     /// The attempt is lost, or handed back.
     Requeue,
+    /// A client wants a job anew that did not succeed.
+    Retry,
 }
 
-const TRANSITIONS: [(State, Trigger, State); 6] = [
+const TRANSITIONS: [(State, Trigger, State); 8] = [
     (State::Queued, Trigger::Claim, State::Running),
     (State::Queued, Trigger::Cancel, State::Cancelled),
     (State::Running, Trigger::Succeed, State::Succeeded),
     (State::Running, Trigger::Fail, State::Failed),
     (State::Running, Trigger::Cancel, State::Cancelled),
     (State::Running, Trigger::Requeue, State::Queued),
+    (State::Failed, Trigger::Retry, State::Queued),
+    (State::Cancelled, Trigger::Retry, State::Queued),
 ];
 
 const NAMES: [(State, &str); 5] = [
@@ -69,9 +73,9 @@ impl State {
         row.map(|(_, _, to)| *to)
     }
 
-    /// Nothing follows.
+    /// Nothing follows by itself: the job has ended, unless somebody retries it.
     pub fn is_final(self) -> bool {
-        TRANSITIONS.iter().all(|(from, _, _)| *from != self)
+        TRANSITIONS.iter().all(|(from, by, _)| *from != self || *by == Trigger::Retry)
     }
 
     /// The upper-case name, as stored and shown.
@@ -105,8 +109,14 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const TRIGGERS: [Trigger; 5] =
-        [Trigger::Claim, Trigger::Succeed, Trigger::Fail, Trigger::Cancel, Trigger::Requeue];
+    const TRIGGERS: [Trigger; 6] = [
+        Trigger::Claim,
+        Trigger::Succeed,
+        Trigger::Fail,
+        Trigger::Cancel,
+        Trigger::Requeue,
+        Trigger::Retry,
+    ];
 
     /// The life of a job said another way: a job is with the queue, with a worker, or over.
     fn model(state: State, trigger: Trigger) -> Option<State> {
@@ -117,12 +127,13 @@ mod tests {
                 _ => None,
             },
             State::Running => match trigger {
-                Trigger::Claim => None,
+                Trigger::Claim | Trigger::Retry => None,
                 Trigger::Succeed => Some(State::Succeeded),
                 Trigger::Fail => Some(State::Failed),
                 Trigger::Cancel => Some(State::Cancelled),
                 Trigger::Requeue => Some(State::Queued),
             },
+            State::Failed | State::Cancelled if trigger == Trigger::Retry => Some(State::Queued),
             State::Succeeded | State::Failed | State::Cancelled => None,
         }
     }
@@ -144,7 +155,8 @@ mod tests {
             for step in steps {
                 let next = state.after(TRIGGERS[step]);
                 prop_assert_eq!(next, model(state, TRIGGERS[step]));
-                prop_assert!(next.is_none() || !state.is_final());
+                let is_retry = TRIGGERS[step] == Trigger::Retry;
+                prop_assert!(next.is_none() || state.is_final() == is_retry);
                 state = next.unwrap_or(state);
             }
         }

@@ -50,7 +50,7 @@ impl Evaluator for Taped {
     }
 
     fn evaluate(&mut self, scene: &Scene, moves: &[Move]) -> Result<Vec<i64>, RenderError> {
-        let print = moves.iter().fold(moves.len() as u64, |print, mv| fold(print, mv));
+        let print = moves.iter().fold(moves.len() as u64, fold);
         let tape = self.tape.clone();
         tape.answer(Question { kind: EVALUATE, print }, || self.live(scene)?.evaluate(scene, moves))
     }

@@ -84,6 +84,7 @@ impl v1::lookalike_service_server::LookalikeService for Api {
             mesh: convert::mesh_hash(&request.mesh),
             file_name: request.file_name,
             spec,
+            priority: request.priority,
             webhook: self.webhooks.url_for(request.webhook_url),
         };
         let spec = new.spec.clone();
@@ -105,8 +106,10 @@ impl v1::lookalike_service_server::LookalikeService for Api {
     ) -> Result<Response<v1::GetJobResponse>, Status> {
         let call = call_of(&request)?;
         let id = convert::job_id("name", &request.into_inner().name)?;
-        let job = self.jobs.desk(&call.who).job(&id).await.map_err(|e| status_of(&e))?;
-        Ok(Response::new(v1::GetJobResponse { job: Some(convert::job_to_wire(&job)) }))
+        let found = self.jobs.desk(&call.who).job_and_attempts(&id).await;
+        let (job, attempts) = found.map_err(|e| status_of(&e))?;
+        let attempts = attempts.into_iter().map(convert::attempt_to_wire).collect();
+        Ok(Response::new(v1::GetJobResponse { job: Some(convert::job_to_wire(&job)), attempts }))
     }
 
     async fn list_jobs(
@@ -164,6 +167,18 @@ impl v1::lookalike_service_server::LookalikeService for Api {
         Ok(Response::new(v1::CancelJobResponse { job: Some(convert::job_to_wire(&job)) }))
     }
 
+    async fn retry_job(
+        &self,
+        request: Request<v1::RetryJobRequest>,
+    ) -> Result<Response<v1::RetryJobResponse>, Status> {
+        let call = call_of(&request)?;
+        let id = convert::job_id("name", &request.into_inner().name)?;
+        call.is_about(format!("jobs/{id}"));
+        let job = self.jobs.desk(&call.who).retry(&id).await.map_err(|e| status_of(&e))?;
+        tracing::info!(job = id, state = %job.state, "retry requested");
+        Ok(Response::new(v1::RetryJobResponse { job: Some(convert::job_to_wire(&job)) }))
+    }
+
     async fn pin_job(
         &self,
         request: Request<v1::PinJobRequest>,
@@ -200,18 +215,52 @@ impl v1::lookalike_service_server::LookalikeService for Api {
         let call = call_of(&request)?;
         let request = request.into_inner();
         let id = convert::job_id("parent", &request.parent)?;
-        let after = read_file_token(&request.page_token)?;
+        let after = read_name_token(&request.page_token)?;
         let limit = page_size(request.page_size, MAX_PAGE);
         let artifacts =
             self.jobs.desk(&call.who).artifacts(&id).await.map_err(|e| status_of(&e))?;
-        // By name, so that a page begins behind the last name of the one before.
-        let rest = &artifacts[artifacts.partition_point(|a| a.file <= after)..];
-        let page = rest.get(..limit as usize);
-        let last = page.and_then(<[_]>::last).filter(|a| rest.last() != Some(a));
-        let next_page_token = last.map(|a| URL_SAFE_NO_PAD.encode(&a.file)).unwrap_or_default();
-        let page = page.unwrap_or(rest).iter();
-        let artifacts = page.map(|a| convert::artifact_to_wire(&id, a)).collect();
+        let (page, next_page_token) = page_after(&artifacts, &after, limit, |a| &a.file);
+        let artifacts = page.iter().map(|a| convert::artifact_to_wire(&id, a)).collect();
         Ok(Response::new(v1::ListArtifactsResponse { artifacts, next_page_token }))
+    }
+
+    async fn list_workers(
+        &self,
+        request: Request<v1::ListWorkersRequest>,
+    ) -> Result<Response<v1::ListWorkersResponse>, Status> {
+        let request = request.into_inner();
+        let after = read_name_token(&request.page_token)?;
+        let limit = page_size(request.page_size, MAX_PAGE);
+        let workers = self.jobs.workers().await.map_err(|e| status_of(&e))?;
+        let (page, next_page_token) = page_after(&workers, &after, limit, |w| &w.host);
+        let workers = page.iter().cloned().map(convert::worker_to_wire).collect();
+        Ok(Response::new(v1::ListWorkersResponse { workers, next_page_token }))
+    }
+
+    async fn drain_worker(
+        &self,
+        request: Request<v1::DrainWorkerRequest>,
+    ) -> Result<Response<v1::DrainWorkerResponse>, Status> {
+        let call = call_of(&request)?;
+        let host = convert::worker_host("name", &request.into_inner().name)?;
+        call.is_about(format!("workers/{host}"));
+        let worker = self.jobs.drain(&host).await.map_err(|e| status_of(&e))?;
+        tracing::info!(host, "a worker is drained");
+        let worker = Some(convert::worker_to_wire(worker));
+        Ok(Response::new(v1::DrainWorkerResponse { worker }))
+    }
+
+    async fn reinstate_worker(
+        &self,
+        request: Request<v1::ReinstateWorkerRequest>,
+    ) -> Result<Response<v1::ReinstateWorkerResponse>, Status> {
+        let call = call_of(&request)?;
+        let host = convert::worker_host("name", &request.into_inner().name)?;
+        call.is_about(format!("workers/{host}"));
+        let worker = self.jobs.reinstate(&host).await.map_err(|e| status_of(&e))?;
+        tracing::info!(host, "a worker is back in service");
+        let worker = Some(convert::worker_to_wire(worker));
+        Ok(Response::new(v1::ReinstateWorkerResponse { worker }))
     }
 
     type ReadArtifactStream = BoxStream<v1::ReadArtifactResponse>;
@@ -273,8 +322,21 @@ fn page_size(asked: u32, default: u32) -> u32 {
     if asked == 0 { default } else { asked.min(MAX_PAGE) }
 }
 
-/// The last file name of the page before.
-fn read_file_token(token: &str) -> Result<String, Status> {
+/// A page of what is ordered by name, behind the last name of the page before; and the token of the next one.
+fn page_after<'a, T>(
+    all: &'a [T],
+    after: &str,
+    limit: u32,
+    name: impl Fn(&T) -> &str,
+) -> (&'a [T], String) {
+    let rest = &all[all.partition_point(|item| name(item) <= after)..];
+    let page = rest.get(..limit as usize).unwrap_or(rest);
+    let last = page.last().filter(|_| page.len() < rest.len());
+    (page, last.map(|item| URL_SAFE_NO_PAD.encode(name(item))).unwrap_or_default())
+}
+
+/// The last name of the page before.
+fn read_name_token(token: &str) -> Result<String, Status> {
     let name = URL_SAFE_NO_PAD.decode(token).ok().and_then(|bytes| String::from_utf8(bytes).ok());
     name.ok_or_else(|| status::invalid("page_token", "not a token of this server: start over"))
 }

@@ -11,10 +11,11 @@ use std::{
 use metrics::{counter, describe_counter, describe_gauge, gauge};
 
 use crate::jobs::{
+    error::Error,
     event::{EnergySample, Report},
     lease::Lease,
     state::State,
-    store::Job,
+    store::{Job, Service, Worker},
 };
 
 /// What was last heard of an attempt.
@@ -39,6 +40,9 @@ impl Observer {
         describe_gauge!("lookalike_jobs", "Jobs by state");
         describe_counter!("lookalike_claims_total", "Attempts begun");
         describe_counter!("lookalike_lost_attempts_total", "Attempts lost");
+        describe_counter!("lookalike_quarantines_total", "Times a host was taken out of service");
+        describe_gauge!("lookalike_workers", "Hosts of workers, by whether they get jobs");
+        describe_counter!("lookalike_preemptions_total", "Jobs that had to make room for others");
         describe_counter!("lookalike_ended_jobs_total", "Jobs ended, by state");
         describe_counter!("lookalike_evaluations_total", "Energy evaluations, by stage");
         describe_gauge!("lookalike_stage_seconds", "Seconds spent, by stage");
@@ -51,6 +55,22 @@ impl Observer {
     /// An attempt began.
     pub fn claimed(&self) {
         counter!("lookalike_claims_total").increment(1);
+    }
+
+    /// A worker got no job for a fault of its own.
+    pub fn refused(&self, error: &Error) {
+        if let Error::OutOfService { host, is_news: true, .. } = error {
+            tracing::warn!(host, %error, "a worker is taken out of service");
+            counter!("lookalike_quarantines_total").increment(1);
+        }
+    }
+
+    /// Workers were asked to hand these jobs back.
+    pub fn preempted(&self, jobs: &[Job]) {
+        for job in jobs {
+            tracing::info!(job = job.id, priority = job.priority, "to make room for another job");
+            counter!("lookalike_preemptions_total").increment(1);
+        }
     }
 
     /// Attempts were lost without a word from their workers.
@@ -76,6 +96,14 @@ impl Observer {
     pub fn depth(&self, counts: &[(State, u64)]) {
         for (state, count) in counts {
             gauge!("lookalike_jobs", "state" => state.name()).set(*count as f64);
+        }
+    }
+
+    /// How many hosts get jobs, and how many do not.
+    pub fn fleet(&self, workers: &[Worker]) {
+        for (service, name) in Service::ALL {
+            let n = workers.iter().filter(|worker| worker.service() == service).count();
+            gauge!("lookalike_workers", "state" => name).set(n as f64);
         }
     }
 

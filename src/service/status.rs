@@ -11,6 +11,8 @@ use crate::jobs::{error::Error, spec::Fault};
 pub const DOMAIN: &str = "lookalike";
 /// A worker's lease is not, or no longer, the job's.
 pub const STALE_LEASE: &str = "STALE_LEASE";
+/// The worker's host gets no jobs for now.
+pub const OUT_OF_SERVICE: &str = "OUT_OF_SERVICE";
 /// The server is about to end: connect again in a moment.
 pub const SHUTTING_DOWN: &str = "SHUTTING_DOWN";
 /// The database or the object store does not answer for now: try again in a moment.
@@ -27,6 +29,7 @@ fn row(error: &Error) -> (Code, &'static str) {
         Error::RequestIdReused(_) => (Code::AlreadyExists, "REQUEST_ID_REUSED"),
         Error::Illegal { .. } => (Code::FailedPrecondition, "ILLEGAL_TRANSITION"),
         Error::Stale { .. } => (Code::FailedPrecondition, STALE_LEASE),
+        Error::OutOfService { .. } => (Code::FailedPrecondition, OUT_OF_SERVICE),
         Error::Gap { .. } => (Code::OutOfRange, "EVENT_GAP"),
         Error::Corrupt { .. } => (Code::DataLoss, "CORRUPT"),
         Error::TooLarge { .. } => (Code::ResourceExhausted, "TOO_LARGE"),
@@ -53,7 +56,8 @@ pub fn status_of(error: &Error) -> Status {
         let faults = faults.iter().take(MAX_VIOLATIONS);
         details.set_bad_request(faults.map(violation).collect::<Vec<_>>());
     }
-    let must_wait = matches!(error, Error::QueueFull(_) | Error::Quota { .. });
+    let must_wait =
+        matches!(error, Error::QueueFull(_) | Error::Quota { .. } | Error::OutOfService { .. });
     let pause = if error.is_passing() { Some(1) } else { None };
     let pause = if must_wait { Some(5) } else { pause };
     if let Some(secs) = pause {

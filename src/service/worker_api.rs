@@ -18,10 +18,9 @@ use super::{
 };
 use crate::jobs::{
     Jobs,
-    blobs::is_safe_name,
     clients::Announced,
     error::Error,
-    lease::Lease,
+    lease::{Claimant, Lease},
     store::{Artifact, Job},
 };
 
@@ -48,11 +47,15 @@ impl worker::worker_service_server::WorkerService for WorkerApi {
         let request = request.into_inner();
         check_worker(&request)?;
         let wait = Duration::try_from_secs_f64(request.wait_secs).unwrap_or_default().min(MAX_WAIT);
-        let claim = self.jobs.claim(&request.worker, wait);
+        let claim = self.jobs.claim(claimant(&request), wait);
         let claimed = tokio::select! {
-            claimed = claim => claimed.map_err(|e| status_of(&e))?,
+            claimed = claim => claimed,
             () = self.shutdown.cancelled() => return Err(status::shutting_down()),
         };
+        let claimed = claimed.map_err(|error| {
+            self.observer.refused(&error);
+            status_of(&error)
+        })?;
         let Some(job) = claimed else { return Ok(Response::new(worker::ClaimResponse::default())) };
         let lease = Lease { job: job.id.clone(), epoch: job.epoch, worker: job.worker.clone() };
         let pieces = self.jobs.resume(&lease, &request.build).await.map_err(|e| status_of(&e))?;
@@ -68,8 +71,12 @@ impl worker::worker_service_server::WorkerService for WorkerApi {
         request: Request<worker::HeartbeatRequest>,
     ) -> Result<Response<worker::HeartbeatResponse>, Status> {
         let lease = convert::lease_from_wire(request.into_inner().lease)?;
-        let cancel_requested = self.jobs.heartbeat(&lease).await.map_err(|e| status_of(&e))?;
-        Ok(Response::new(worker::HeartbeatResponse { cancel_requested }))
+        let orders = self.jobs.heartbeat(&lease).await.map_err(|e| status_of(&e))?;
+        Ok(Response::new(worker::HeartbeatResponse {
+            cancel_requested: orders.cancel,
+            drain_requested: orders.drain,
+            preempt_requested: orders.preempt,
+        }))
     }
 
     type FetchMeshStream =
@@ -103,7 +110,8 @@ impl worker::worker_service_server::WorkerService for WorkerApi {
         let appended = appended.map_err(|e| status_of(&e))?;
         Ok(Response::new(worker::AppendEventsResponse {
             appended: appended.held,
-            cancel_requested: appended.cancel_requested,
+            cancel_requested: appended.orders.cancel,
+            preempt_requested: appended.orders.preempt,
         }))
     }
 
@@ -186,6 +194,17 @@ impl worker::worker_service_server::WorkerService for WorkerApi {
         self.observer.ended(&job);
         Ok(Response::new(worker::CompleteResponse {}))
     }
+
+    async fn leave(
+        &self,
+        request: Request<worker::LeaveRequest>,
+    ) -> Result<Response<worker::LeaveResponse>, Status> {
+        let request = request.into_inner();
+        let handed_back = self.jobs.leave(&request.worker).await.map_err(|e| status_of(&e))?;
+        tracing::info!(worker = request.worker, n_jobs = handed_back.len(), "worker left");
+        handed_back.iter().for_each(|job| self.observer.ended(job));
+        Ok(Response::new(worker::LeaveResponse {}))
+    }
 }
 
 impl WorkerApi {
@@ -212,6 +231,12 @@ fn artifact_chunk(message: worker::PutArtifactRequest) -> Option<Bytes> {
     }
 }
 
+fn claimant(request: &worker::ClaimRequest) -> Claimant {
+    let host = if request.host.is_empty() { &request.worker } else { &request.host };
+    let (worker, version) = (request.worker.clone(), request.version.clone());
+    Claimant { worker, host: host.clone(), version }
+}
+
 fn piece_chunk(message: worker::PutCheckpointRequest) -> Option<Bytes> {
     match message.part {
         Some(worker::put_checkpoint_request::Part::Chunk(chunk)) => Some(chunk),
@@ -226,8 +251,12 @@ fn check_build(build: &str) -> Result<(), Status> {
 }
 
 fn check_worker(request: &worker::ClaimRequest) -> Result<(), Status> {
-    if !is_safe_name(&request.worker) || request.worker.len() > 64 {
-        return Err(status::invalid("worker", "use 1 to 64 characters of [A-Za-z0-9._-]"));
+    let text = "use 1 to 64 characters of [A-Za-z0-9._-]";
+    if !convert::is_host(&request.worker) {
+        return Err(status::invalid("worker", text));
+    }
+    if !request.host.is_empty() && !convert::is_host(&request.host) {
+        return Err(status::invalid("host", text));
     }
     check_build(&request.build)?;
     let server = env!("CARGO_PKG_VERSION");

@@ -140,7 +140,7 @@ impl<A: Answer> Answer for Option<A> {
     }
 }
 
-impl<A: Answer> Answer for Vec<A> {
+impl<T: Answer> Answer for Vec<T> {
     fn write(&self, out: &mut Vec<u8>) {
         (self.len() as u64).write(out);
         self.iter().for_each(|one| one.write(out));
@@ -151,7 +151,7 @@ impl<A: Answer> Answer for Vec<A> {
         // Each takes a byte at least: what is announced beyond that is not there.
         let mut all = Self::with_capacity(n.min(bytes.len() as u64) as usize);
         for _ in 0..n {
-            all.push(A::read(bytes)?);
+            all.push(T::read(bytes)?);
         }
         Some(all)
     }

@@ -40,7 +40,7 @@ mod tests {
 
     #[test]
     fn pieces_survive_a_round_trip_and_damage_is_noticed() {
-        let answers: Vec<u8> = (0..1000_u32).map(|k| (k * k >> 3) as u8).collect();
+        let answers: Vec<u8> = (0..1000_u32).map(|k| ((k * k) >> 3) as u8).collect();
         let piece = pack(&answers).unwrap();
         assert_eq!(unpack(&piece), Ok(answers));
         for n in 0..piece.len() {

@@ -11,7 +11,7 @@ use std::{
 };
 
 use futures::future::BoxFuture;
-use tokio::time::Instant;
+use tokio::time::{Instant, timeout};
 use tokio_util::sync::CancellationToken;
 use tonic::Status;
 
@@ -24,10 +24,13 @@ use super::{
 use crate::service::{
     client::{Access, Backoff, BadTarget, is_transient},
     proto::worker::v1::Assignment,
+    status::{OUT_OF_SERVICE, reason_of},
 };
 
 /// Jobs after which a worker makes room for a fresh one.
 const MAX_JOBS: u32 = 500;
+/// A worker whose host is out of service asks again this often.
+const OUT_OF_SERVICE_PAUSE: Duration = Duration::from_secs(2);
 
 /// How a worker is set up.
 #[derive(Clone, Debug)]
@@ -38,6 +41,8 @@ pub struct WorkerConfig {
     pub access: Access,
     /// Names this incarnation.
     pub id: String,
+    /// Names the machine, or its device, that it runs on; empty where it stands for itself.
+    pub host: String,
     /// Which evaluator.
     pub device: DeviceChoice,
     /// What runs the jobs.
@@ -50,6 +55,8 @@ pub struct WorkerConfig {
     pub supervised: bool,
     /// End when the server does not answer for so long.
     pub give_up: Duration,
+    /// What an attempt gets to stop in, once it has to be handed back.
+    pub drain: Duration,
     /// Seconds of processor time that a job may take; 0 for no limit.
     pub cpu_secs: u64,
 }
@@ -85,6 +92,9 @@ pub enum WorkerError {
     /// The pipeline panicked: a fresh process should take over.
     #[error("the pipeline panicked: this process ends so that a fresh one can take over")]
     Tainted,
+    /// The pipeline goes on with a job that was handed back: only the end of the process stops it.
+    #[error("the pipeline did not stop in time: its job is handed back, and this process ends")]
+    Stuck,
 }
 
 /// Claims jobs and runs them until `drain`. Boxed, so that it is compiled with this crate.
@@ -104,7 +114,11 @@ async fn serve(config: WorkerConfig, drain: CancellationToken) -> Result<(), Wor
     for _ in 0..MAX_JOBS {
         let assignment = tokio::select! {
             claimed = claim(&config, &link, orphaned) => claimed?,
-            () = drain.cancelled() => None,
+            () = drain.cancelled() => {
+                // A job may be on its way here.
+                leave(&link, &config).await;
+                None
+            }
         };
         let Some(assignment) = assignment else { break };
         work(&config, &link, assignment, &drain).await?;
@@ -116,6 +130,16 @@ async fn serve(config: WorkerConfig, drain: CancellationToken) -> Result<(), Wor
     Ok(())
 }
 
+/// Hands back a job whose assignment was not waited for. A server that does not answer by the time that this worker has
+/// left takes the job back when the lease runs out.
+async fn leave(link: &Link, config: &WorkerConfig) {
+    match timeout(config.drain, link.leave(&config.id)).await {
+        Ok(Ok(())) => {}
+        Ok(Err(error)) => tracing::warn!(%error, "left without a word"),
+        Err(_) => tracing::warn!("left without a word: the server does not answer"),
+    }
+}
+
 /// Waits for a job; `None` when there is no reason to wait on.
 async fn claim(
     config: &WorkerConfig,
@@ -124,13 +148,22 @@ async fn claim(
 ) -> Result<Option<Assignment>, WorkerError> {
     let mut backoff = Backoff::default();
     let mut silent_since: Option<Instant> = None;
+    let mut is_told = false;
     while !orphaned() {
-        match link.claim(&config.id).await {
+        match link.claim(&config.id, &config.host).await {
             Ok(None) => {
                 silent_since = None;
                 backoff.reset();
             }
             Ok(assignment) => return Ok(assignment),
+            Err(status) if reason_of(&status).as_deref() == Some(OUT_OF_SERVICE) => {
+                silent_since = None;
+                if !is_told {
+                    tracing::error!(reason = status.message(), "no jobs for this worker");
+                    is_told = true;
+                }
+                tokio::time::sleep(OUT_OF_SERVICE_PAUSE).await;
+            }
             Err(status) if is_transient(&status) => {
                 let since = *silent_since.get_or_insert_with(Instant::now);
                 if since.elapsed() > config.give_up {
@@ -166,6 +199,7 @@ async fn work(
     match ended {
         Ok(Ended::Ready) => Ok(()),
         Ok(Ended::Tainted) => Err(WorkerError::Tainted),
+        Ok(Ended::Stuck) => Err(WorkerError::Stuck),
         Err(LinkError::Unreachable { last, .. }) => {
             Err(WorkerError::Unreachable { url: config.url.clone(), last })
         }

@@ -23,7 +23,12 @@ use super::{
     pipeline::{DeviceChoice, Inputs, ModelFile, Pipeline, PipelineError},
 };
 use crate::{
-    jobs::{event::Report, lease::Lease, spec::Spec, store::Outcome},
+    jobs::{
+        event::Report,
+        lease::{Lease, Orders},
+        spec::Spec,
+        store::Outcome,
+    },
     service::{convert, proto::worker::v1::Assignment},
 };
 
@@ -32,13 +37,27 @@ use crate::{
 pub enum Stop {
     /// A client cancelled the job.
     Cancel,
-    /// The worker shuts down.
+    /// The worker shuts down, or its host is to work no more.
     Drain,
+    /// A job of higher priority waits.
+    Preempt,
     /// The job is no longer ours, or the server is gone.
     Abandon,
 }
 
 impl Stop {
+    /// Does what the server wants.
+    pub fn obey(orders: Orders, stop: &watch::Sender<Option<Self>>) {
+        let wanted = [
+            (orders.cancel, Self::Cancel),
+            (orders.drain, Self::Drain),
+            (orders.preempt, Self::Preempt),
+        ];
+        for (_, reason) in wanted.into_iter().filter(|(is_wanted, _)| *is_wanted) {
+            reason.raise(stop);
+        }
+    }
+
     /// Asks for a stop; the first reason holds, but `Abandon` overrides all.
     pub fn raise(self, stop: &watch::Sender<Option<Self>>) {
         stop.send_if_modified(|reason| {
@@ -58,6 +77,8 @@ pub enum Ended {
     Ready,
     /// The pipeline panicked: the process should not be trusted with another job.
     Tainted,
+    /// The pipeline does not stop, though its job is handed back.
+    Stuck,
 }
 
 /// What is to be done, read from the wire.
@@ -132,6 +153,11 @@ pub async fn run(
     let finished = tokio::select! {
         finished = finish => finished,
         lost = keep_alive(link, &lease, heartbeat, &stop, drain) => Err(lost),
+        reason = overdue(&stop, config.drain) => {
+            tracing::warn!(job = lease.job, "the pipeline does not stop, and its job is handed back");
+            link.complete(&lease, Outcome::Released(reason.into())).await?;
+            return Ok(Ended::Stuck);
+        }
     };
     match finished {
         Ok(result) => {
@@ -168,8 +194,7 @@ async fn keep_alive(
     loop {
         tokio::select! {
             _ = beat.tick() => match link.heartbeat(lease).await {
-                Ok(true) => Stop::Cancel.raise(stop),
-                Ok(false) => {}
+                Ok(orders) => Stop::obey(orders, stop),
                 Err(error) => return error,
             },
             () = drain.cancelled(), if !draining => {
@@ -178,6 +203,18 @@ async fn keep_alive(
             }
         }
     }
+}
+
+/// Returns when the attempt was to be handed back so long ago.
+async fn overdue(stop: &watch::Sender<Option<Stop>>, limit: Duration) -> &'static str {
+    let hands_back = |reason: &Option<Stop>| matches!(reason, Some(Stop::Drain | Stop::Preempt));
+    let mut stopped = stop.subscribe();
+    if stopped.wait_for(hands_back).await.is_err() {
+        // The sender is in the caller's hands: it is never gone.
+        return std::future::pending().await;
+    }
+    tokio::time::sleep(limit).await;
+    "the worker did not stop in time"
 }
 
 /// After a call that the server refused: the attempt failed, if the server still listens.
@@ -266,6 +303,9 @@ fn outcome(result: Result<(), Fault>, files: Vec<String>, stop: Option<Stop>) ->
             Outcome::Failed(code.into(), text)
         }
         (Err(Fault::Pipeline(PipelineError::Cancelled)), Some(Stop::Cancel)) => Outcome::Cancelled,
+        (Err(Fault::Pipeline(PipelineError::Cancelled)), Some(Stop::Preempt)) => {
+            Outcome::Released(String::new())
+        }
         (Err(Fault::Pipeline(PipelineError::Cancelled)), Some(_)) => {
             Outcome::Released("the worker shuts down".into())
         }
@@ -297,7 +337,9 @@ mod tests {
         assert_eq!(outcome(Ok(()), files(), Some(Stop::Cancel)), Outcome::Succeeded(files()));
         assert_eq!(outcome(stopped(), files(), Some(Stop::Cancel)), Outcome::Cancelled);
         let released = outcome(stopped(), files(), Some(Stop::Drain));
-        assert!(matches!(released, Outcome::Released(_)));
+        assert!(matches!(released, Outcome::Released(text) if text.contains("shuts down")));
+        let preempted = outcome(stopped(), files(), Some(Stop::Preempt));
+        assert_eq!(preempted, Outcome::Released(String::new()));
         let panicked = outcome(Err(Fault::panic(&"index out of bounds")), files(), None);
         assert!(matches!(panicked, Outcome::AttemptFailed(text) if text.contains("index out of")));
     }

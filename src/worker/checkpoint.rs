@@ -38,7 +38,8 @@ pub(super) fn tape(
     let last = Instant::now();
     let mut pace = Pace { interval, n_bytes, last, is_full: interval.is_zero() };
     let keeper: Keeper = Box::new(move |recorded| {
-        let is_asked = handing_back.is_asked();
+        // One piece is enough, however many questions follow until the run reports.
+        let is_asked = handing_back.is_asked() && !handing_back.is_ready.load(Ordering::Relaxed);
         if let Some(piece) = pace.take(recorded, is_asked) {
             // Where nobody listens any more, the run is told when it reports.
             let _ = parcels.blocking_send(Parcel::Piece(piece));
@@ -157,6 +158,7 @@ mod tests {
         ask(2);
         assert!(handing_back.should_end(true));
         assert!(matches!(received.try_recv(), Ok(Parcel::Piece(_))));
+        ask(3);
         assert!(received.try_recv().is_err());
     }
 }

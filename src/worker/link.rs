@@ -13,7 +13,7 @@ use tonic::{Response, Status};
 use super::build::build;
 use crate::{
     jobs::{
-        lease::Lease,
+        lease::{Lease, Orders},
         store::{Appended, Artifact, Outcome},
     },
     service::{
@@ -74,11 +74,16 @@ impl Link {
     }
 
     /// Asks once for a job, waiting a while for one to come.
-    pub async fn claim(&self, worker: &str) -> Result<Option<wire::Assignment>, Status> {
+    pub async fn claim(
+        &self,
+        worker: &str,
+        host: &str,
+    ) -> Result<Option<wire::Assignment>, Status> {
         let request = wire::ClaimRequest {
             worker: worker.into(),
             version: env!("CARGO_PKG_VERSION").into(),
             wait_secs: CLAIM_WAIT_SECS,
+            host: host.into(),
             build: build().into(),
         };
         let late = |_| Status::deadline_exceeded("the claim was not answered");
@@ -86,14 +91,19 @@ impl Link {
         Ok(answer.into_inner().assignment)
     }
 
-    /// Extends the lease; true when the attempt should stop.
-    pub async fn heartbeat(&self, lease: &Lease) -> Result<bool, LinkError> {
+    /// Extends the lease; what the attempt should do.
+    pub async fn heartbeat(&self, lease: &Lease) -> Result<Orders, LinkError> {
         let request = wire::HeartbeatRequest { lease: Some(convert::lease_to_wire(lease)) };
         let call = |mut client: WorkerServiceClient<Connection>| {
             let request = request.clone();
             async move { client.heartbeat(request).await }
         };
-        Ok(self.answered(CALL, call).await?.cancel_requested)
+        let answer = self.answered(CALL, call).await?;
+        Ok(Orders {
+            cancel: answer.cancel_requested,
+            drain: answer.drain_requested,
+            preempt: answer.preempt_requested,
+        })
     }
 
     /// The bytes of an input: of the mesh of that hash, or of the original where it is empty.
@@ -128,7 +138,8 @@ impl Link {
             async move { client.append_events(request).await }
         };
         let answer = self.answered(CALL, call).await?;
-        Ok(Appended { held: answer.appended, cancel_requested: answer.cancel_requested })
+        let (cancel, preempt) = (answer.cancel_requested, answer.preempt_requested);
+        Ok(Appended { held: answer.appended, orders: Orders { cancel, preempt, drain: false } })
     }
 
     /// Sends a file of the result.
@@ -211,6 +222,17 @@ impl Link {
         let call = |mut client: WorkerServiceClient<Connection>| {
             let request = request.clone();
             async move { client.complete(request).await }
+        };
+        self.answered(CALL, call).await?;
+        Ok(())
+    }
+
+    /// Tells the server that this worker ends.
+    pub async fn leave(&self, worker: &str) -> Result<(), LinkError> {
+        let request = wire::LeaveRequest { worker: worker.into() };
+        let call = |mut client: WorkerServiceClient<Connection>| {
+            let request = request.clone();
+            async move { client.leave(request).await }
         };
         self.answered(CALL, call).await?;
         Ok(())

@@ -125,9 +125,7 @@ impl Outbox {
         }
         let appended = self.link.append(&self.lease, self.n_sent, batch.events).await?;
         self.n_sent = appended.held;
-        if appended.cancel_requested {
-            Stop::Cancel.raise(&self.stop);
-        }
+        Stop::obey(appended.orders, &self.stop);
         Ok(())
     }
 

@@ -46,7 +46,7 @@ pub struct Crew {
     pub runtime_dir: PathBuf,
     /// Log in JSON.
     pub log_json: bool,
-    /// How long a child may take to hand its job back.
+    /// How long a child may take to end; half of it to hand its job back.
     pub drain: Duration,
 }
 
@@ -57,16 +57,16 @@ impl Crew {
         if let Err(error) = self.create_runtime_dir() {
             tracing::warn!(%error, "no runtime folder for workers");
         }
-        join_all((0..self.n_workers).map(|_| self.keep(&shutdown, &gone))).await;
+        join_all((0..self.n_workers).map(|slot| self.keep(slot, &shutdown, &gone))).await;
     }
 
     /// Keeps one worker running.
-    async fn keep(&self, shutdown: &CancellationToken, gone: &impl AsyncFn(String)) {
+    async fn keep(&self, slot: usize, shutdown: &CancellationToken, gone: &impl AsyncFn(String)) {
         let mut pause = FIRST_PAUSE;
         while !shutdown.is_cancelled() {
             let id = format!("local-{}", uuid::Uuid::new_v4().simple());
             let start = Instant::now();
-            match self.spawn(&id) {
+            match self.spawn(&id, slot) {
                 Ok(child) => self.watch(child, &id, shutdown).await,
                 Err(error) => tracing::error!(%error, "a worker cannot be started"),
             }
@@ -101,14 +101,16 @@ impl Crew {
         }
     }
 
-    fn spawn(&self, id: &str) -> io::Result<Child> {
+    fn spawn(&self, id: &str, slot: usize) -> io::Result<Child> {
         let mut command = Command::new(program());
         command.arg0("lookalike").arg("worker").arg("--supervised");
         // Addresses of Unix sockets are short, those of folders may be long.
         command.current_dir(&self.locks).arg("--connect").arg(format!("unix:{SOCKET}"));
         command.arg("--device").arg(&self.device).arg("--id").arg(id);
+        command.arg("--host").arg(host_name(&format!("-{slot}")));
         command.arg("--memory-mib").arg(self.memory_mib.to_string());
         command.arg("--cpu-secs").arg(self.cpu_secs.to_string());
+        command.arg("--drain-secs").arg((self.drain.as_secs_f64() / 2.0).to_string());
         command.arg("--lock").arg(self.locks.join(format!("{id}.lock")));
         command.arg("--scratch").arg(self.scratch.join(id));
         if self.log_json {
@@ -140,6 +142,15 @@ impl Crew {
             }
         }
     }
+}
+
+/// The name of this machine as one that a server takes, at most 64 characters, with `suffix` behind it.
+pub fn host_name(suffix: &str) -> String {
+    let name = fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
+    let is_plain = |c: &char| c.is_ascii_alphanumeric() || "._-".contains(*c);
+    let room = 64 - suffix.len().min(64);
+    let name: String = name.trim_start_matches('.').chars().filter(is_plain).take(room).collect();
+    if name.is_empty() { format!("local{suffix}") } else { format!("{name}{suffix}") }
 }
 
 /// What workers must not find in their environment: settings that make lavapipe abort, and the ways

@@ -86,6 +86,7 @@ async fn every_fault_of_a_request_is_listed() {
         file_name: String::new(),
         spec: Some(spec_to_wire(&spec)),
         webhook_url: String::new(),
+        priority: 0,
     };
     let status = server.client().create_job(request).await.unwrap_err();
     assert_eq!(status.code(), Code::InvalidArgument);

@@ -173,7 +173,17 @@ async fn call(client: &mut Client, method: &str, mesh: &str, job: &str, done: &s
         "ListJobs" => client.list_jobs(v1::ListJobsRequest::default()).await.map(drop),
         "WatchJob" => client.watch_job(v1::WatchJobRequest { name, after_seq: 0 }).await.map(drop),
         "CancelJob" => client.cancel_job(v1::CancelJobRequest { name }).await.map(drop),
+        "RetryJob" => client.retry_job(v1::RetryJobRequest { name }).await.map(drop),
         "PinJob" => client.pin_job(v1::PinJobRequest { name, pinned: true }).await.map(drop),
+        "ListWorkers" => client.list_workers(v1::ListWorkersRequest::default()).await.map(drop),
+        "DrainWorker" => {
+            let request = v1::DrainWorkerRequest { name: "workers/done".into() };
+            client.drain_worker(request).await.map(drop)
+        }
+        "ReinstateWorker" => {
+            let request = v1::ReinstateWorkerRequest { name: "workers/done".into() };
+            client.reinstate_worker(request).await.map(drop)
+        }
         "DeleteJob" => {
             let request = v1::DeleteJobRequest { name, allow_missing: false };
             client.delete_job(request).await.map(drop)
@@ -211,6 +221,7 @@ async fn work(worker: &mut Worker, method: &str, caller: &str) -> Code {
         "PutArtifact" => {
             worker.put_artifact(futures::stream::iter(artifact(&lease))).await.map(drop)
         }
+        "Leave" => worker.leave(wire::LeaveRequest { worker: "nobody".into() }).await.map(drop),
         "PutCheckpoint" => {
             worker.put_checkpoint(futures::stream::iter(piece(&lease))).await.map(drop)
         }
@@ -238,7 +249,7 @@ const I: Code = Code::InvalidArgument;
 const F: Code = Code::FailedPrecondition;
 
 #[rustfmt::skip]
-pub(crate) const PUBLIC: [(&str, [Code; 8]); 10] = [
+pub(crate) const PUBLIC: [(&str, [Code; 8]); 14] = [
     // method          anonymous wrong expired bob viewer ann worker admin
     ("UploadMesh",    [U, U, U, O, P, O, P, O]),
     ("CreateJob",     [U, U, U, I, P, O, P, I]),
@@ -246,14 +257,18 @@ pub(crate) const PUBLIC: [(&str, [Code; 8]); 10] = [
     ("ListJobs",      [U, U, U, O, O, O, P, O]),
     ("WatchJob",      [U, U, U, N, O, O, P, O]),
     ("CancelJob",     [U, U, U, N, P, O, P, O]),
+    ("RetryJob",      [U, U, U, N, P, O, P, O]),
     ("PinJob",        [U, U, U, N, P, O, P, O]),
     ("DeleteJob",     [U, U, U, N, P, O, P, O]),
     ("ListArtifacts", [U, U, U, N, O, O, P, O]),
     ("ReadArtifact",  [U, U, U, N, O, O, P, O]),
+    ("ListWorkers",   [U, U, U, P, P, P, P, O]),
+    ("DrainWorker",   [U, U, U, P, P, P, P, O]),
+    ("ReinstateWorker", [U, U, U, P, P, P, P, O]),
 ];
 
 #[rustfmt::skip]
-const WORK: [(&str, [Code; 8]); 8] = [
+const WORK: [(&str, [Code; 8]); 9] = [
     ("Claim",         [U, U, U, P, P, P, O, O]),
     ("Heartbeat",     [U, U, U, P, P, P, F, F]),
     ("FetchMesh",     [U, U, U, P, P, P, F, F]),
@@ -262,6 +277,7 @@ const WORK: [(&str, [Code; 8]); 8] = [
     ("PutCheckpoint",   [U, U, U, P, P, P, F, F]),
     ("FetchCheckpoint", [U, U, U, P, P, P, F, F]),
     ("Complete",      [U, U, U, P, P, P, F, F]),
+    ("Leave",         [U, U, U, P, P, P, O, O]),
 ];
 
 #[tokio::test]

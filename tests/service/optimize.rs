@@ -29,6 +29,7 @@ fn request(original: &str, simplified: &str) -> v1::CreateJobRequest {
         file_name: "torus.ply".into(),
         spec: Some(spec_to_wire(&spec)),
         webhook_url: String::new(),
+        priority: 0,
     }
 }
 
@@ -98,6 +99,7 @@ async fn a_worker_gets_the_inputs_of_its_job_and_no_others() {
         version: env!("CARGO_PKG_VERSION").into(),
         wait_secs: 5.0,
         build: String::new(),
+        host: String::new(),
     };
     let lease = worker.claim(claim).await.unwrap().into_inner().assignment.unwrap().lease;
     let mut fetch = async |mesh: &str| {

@@ -41,6 +41,8 @@ async fn crew(url: String, scratch: std::path::PathBuf) -> u32 {
     let mut n_tainted = 0;
     loop {
         let config = WorkerConfig {
+            host: String::new(),
+            drain: Duration::from_secs(10),
             url: url.clone(),
             access: Access::default(),
             id: format!("incarnation-{n_tainted}"),

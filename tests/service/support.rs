@@ -327,6 +327,7 @@ pub(crate) fn create_request(mesh: &str, request_id: &str) -> v1::CreateJobReque
         file_name: "torus.ply".into(),
         spec: Some(spec_to_wire(&job_spec())),
         webhook_url: String::new(),
+        priority: 0,
     }
 }
 

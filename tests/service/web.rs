@@ -112,9 +112,13 @@ async fn route(web: &Web, method: &str, mesh: &str, job: &str, done: &str) -> Re
         "ListJobs" => web.get(&at("jobs")).await,
         "WatchJob" => web.get(&at(&format!("{job}/events"))).await,
         "CancelJob" => web.post(&at(&format!("{job}:cancel")), json!({})).await,
+        "RetryJob" => web.post(&at(&format!("{job}:retry")), json!({})).await,
         "PinJob" => web.post(&at(&format!("{job}:pin")), json!({"pinned": true})).await,
         "DeleteJob" => web.send("DELETE", &at(job), &[], "").await,
         "ListArtifacts" => web.get(&at(&format!("{job}/artifacts"))).await,
+        "ListWorkers" => web.get(&at("workers")).await,
+        "DrainWorker" => web.post(&at("workers/done:drain"), json!({})).await,
+        "ReinstateWorker" => web.post(&at("workers/done:reinstate"), json!({})).await,
         "ReadArtifact" => web.get(&at(&format!("{done}/artifacts/x"))).await,
         other => panic!("{other} is not called"),
     }

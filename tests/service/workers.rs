@@ -13,7 +13,8 @@ use crate::support::{Server, create, job, log};
 
 fn claim_as(worker: &str) -> wire::ClaimRequest {
     let version = env!("CARGO_PKG_VERSION").into();
-    wire::ClaimRequest { worker: worker.into(), version, wait_secs: 5.0, build: "b".into() }
+    let (worker, build) = (worker.into(), "b".into());
+    wire::ClaimRequest { worker, version, wait_secs: 5.0, build, host: String::new() }
 }
 
 async fn claim(server: &Server, worker: &str) -> wire::Assignment {
@@ -157,7 +158,7 @@ async fn an_attempt_goes_on_where_the_lost_one_left_its_last_checkpoint() {
     let mut client = server.client();
     let name = create(&mut client).await;
     let mut worker = server.worker_client();
-    let mut note = async |lease: &wire::Lease, first_index: u64| {
+    let note = async |lease: &wire::Lease, first_index: u64| {
         let note = v1::Note { code: "N".into(), text: first_index.to_string() };
         let body = Some(wire::worker_event::Body::Note(note));
         let (lease, events) = (Some(lease.clone()), vec![wire::WorkerEvent { body }]);
@@ -185,6 +186,12 @@ async fn an_attempt_goes_on_where_the_lost_one_left_its_last_checkpoint() {
     let (other, pieces) = found_by(&server, "w", "another").await;
     assert_eq!(pieces, [[0; 0]; 0]);
     put(&other, 0, b"new").await.unwrap();
+    // What is left of the checkpoint goes with the end of the job.
+    let outcome = wire::complete_request::Outcome::Succeeded(wire::Succeeded { files: vec![] });
+    let complete = wire::CompleteRequest { lease: Some(other), outcome: Some(outcome) };
+    worker.complete(complete).await.unwrap();
+    let folders = server.files_below("objects/jobs");
+    assert!(folders.iter().all(|file| !file.contains("checkpoint")), "{folders:?}");
     let restarts: Vec<_> = log(&mut client, &name, 0)
         .await
         .iter()
@@ -198,10 +205,4 @@ async fn an_attempt_goes_on_where_the_lost_one_left_its_last_checkpoint() {
     let told = |seq, lost, reason: &str| (seq, lost, reason.to_owned());
     let wanted = [told(3, 1, "RESUMED"), told(7, 2, "RESUMED"), told(1, 3, "STARTED_OVER")];
     assert_eq!(restarts, wanted);
-    // What is left of the checkpoint goes with the end of the job.
-    let outcome = wire::complete_request::Outcome::Succeeded(wire::Succeeded { files: vec![] });
-    let complete = wire::CompleteRequest { lease: Some(other), outcome: Some(outcome) };
-    worker.complete(complete).await.unwrap();
-    let folders = server.files_below("objects/jobs");
-    assert!(folders.iter().all(|file| !file.contains("checkpoint")), "{folders:?}");
 }

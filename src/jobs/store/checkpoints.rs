@@ -33,47 +33,50 @@ pub struct Piece {
 impl Store {
     /// Notes that piece `n` is stored. A repetition is accepted.
     pub async fn add_piece(&self, lease: &Lease, n: u32, size: u64, build: &str) -> Result<()> {
-        let mut tx = self.begin().await?;
-        let job = held_to_write(&mut tx, lease).await?;
-        let pieces = pieces_of(&mut tx, &job.id).await?;
-        if let Some(known) = pieces.get(n as usize) {
-            let is_same = (known.epoch, known.size) == (lease.epoch, size);
-            return if is_same { Ok(()) } else { Err(misplaced(n, pieces.len())) };
-        }
-        if n as usize != pieces.len() {
-            return Err(misplaced(n, pieces.len()));
-        }
-        let insert = "INSERT INTO checkpoints VALUES ($1, $2, $3, $4, $5, $6)";
-        let insert = sqlx::query(insert).bind(&job.id).bind(i64::from(n)).bind(job.epoch as i64);
-        let insert = insert.bind(job.last_seq as i64).bind(size as i64).bind(storable(build));
-        insert.execute(&mut *tx).await?;
-        tx.commit().await?;
-        Ok(())
+        transaction!(self, tx, {
+            let job = held_to_write(&mut tx, lease).await?;
+            let pieces = pieces_of(&mut tx, &job.id).await?;
+            if let Some(known) = pieces.get(n as usize) {
+                let is_same = (known.epoch, known.size) == (lease.epoch, size);
+                return if is_same { Ok(()) } else { Err(misplaced(n, pieces.len())) };
+            }
+            if n as usize != pieces.len() {
+                return Err(misplaced(n, pieces.len()));
+            }
+            let insert = "INSERT INTO checkpoints VALUES ($1, $2, $3, $4, $5, $6)";
+            let insert =
+                sqlx::query(insert).bind(&job.id).bind(i64::from(n)).bind(job.epoch as i64);
+            let insert = insert.bind(job.last_seq as i64).bind(size as i64).bind(storable(build));
+            insert.execute(&mut *tx).await?;
+            Ok(())
+        })
     }
 
     /// What a worker of this build that has just claimed the job goes on from; nothing where it starts over. The
     /// log tells which, where an attempt was lost that had left a checkpoint.
     pub async fn resume(&self, lease: &Lease, build: &str, max_lost: u32) -> Result<Vec<Piece>> {
-        let mut tx = self.begin().await?;
-        let mut job = held_to_write(&mut tx, lease).await?;
-        let mut pieces = pieces_of(&mut tx, &job.id).await?;
-        let Some(last) = pieces.last() else { return Ok(pieces) };
-        let refusal = refusal((job.epoch, job.lost), last, build, max_lost);
-        let (rewind_to_seq, reason, text) = match refusal {
-            None => (last.seq, RESUMED, "it goes on from the last checkpoint".to_owned()),
-            Some(why) => (CREATED_SEQ, "STARTED_OVER", format!("it starts over, because {why}")),
-        };
-        let lost_attempt = job.attempt.saturating_sub(1);
-        let body =
-            ServerEvent::Restarted { rewind_to_seq, lost_attempt, reason: reason.into(), text };
-        if refusal.is_some() {
-            forget(&mut tx, &job.id).await?;
-            pieces.clear();
-        }
-        let now = now_ms(&mut tx).await?;
-        log(&mut tx, &mut job, now, &[(Body::Server(body), None)]).await?;
-        tx.commit().await?;
-        Ok(pieces)
+        transaction!(self, tx, {
+            let mut job = held_to_write(&mut tx, lease).await?;
+            let mut pieces = pieces_of(&mut tx, &job.id).await?;
+            let Some(last) = pieces.last() else { return Ok(pieces) };
+            let refusal = refusal((job.epoch, job.lost), last, build, max_lost);
+            let (rewind_to_seq, reason, text) = match refusal {
+                None => (last.seq, RESUMED, "it goes on from the last checkpoint".to_owned()),
+                Some(why) => {
+                    (CREATED_SEQ, "STARTED_OVER", format!("it starts over, because {why}"))
+                }
+            };
+            let lost_attempt = job.attempt.saturating_sub(1);
+            let body =
+                ServerEvent::Restarted { rewind_to_seq, lost_attempt, reason: reason.into(), text };
+            if refusal.is_some() {
+                forget(&mut tx, &job.id).await?;
+                pieces.clear();
+            }
+            let now = now_ms(&mut tx).await?;
+            log(&mut tx, &mut job, now, &[(Body::Server(body), None)]).await?;
+            Ok(pieces)
+        })
     }
 
     /// The pieces of the job under `lease`, in order.

@@ -5,12 +5,14 @@ use std::time::Duration;
 use sqlx::{AssertSqlSafe, Row, any::AnyRow};
 
 use super::{
-    Artifact, Exclusive, Job, State, Store, StoredEvent, Tx, event_of, find, find_to_write, job_of,
-    log, now_ms, only, owners, places, sql, state_entry, storable, stored, webhooks,
+    Artifact, Body, Exclusive, Job, State, Store, StoredEvent, Tx, checkpoints, event_of, find,
+    find_to_write, job_of, log, now_ms, only, owners, places, sql, state_entry, storable, stored,
+    webhooks,
 };
 use crate::jobs::{
     Limits,
     error::{Error, Result},
+    event::{CREATED_SEQ, ServerEvent},
     points::{Point, pass},
     spec::Spec,
     state::Trigger,
@@ -29,6 +31,8 @@ pub struct NewJob {
     pub file_name: String,
     /// What to do.
     pub spec: Spec,
+    /// Those of higher priority come first.
+    pub priority: i32,
     /// Whom to call when it has ended; empty for nobody. A repeated request keeps the first one's.
     pub webhook: String,
 }
@@ -69,27 +73,27 @@ impl Store {
 
     /// Notes that a client asked for a stored mesh; false when there is none.
     pub async fn touch_mesh(&self, hash: &str) -> Result<bool> {
-        let mut tx = self.begin().await?;
-        let now = now_ms(&mut tx).await?;
-        let found = touch_mesh(&mut tx, hash, now).await?;
-        tx.commit().await?;
-        Ok(found)
+        transaction!(self, tx, {
+            let now = now_ms(&mut tx).await?;
+            let found = touch_mesh(&mut tx, hash, now).await?;
+            Ok(found)
+        })
     }
 
     /// Forgets the meshes that no job names and that nobody uploaded or asked for in so long; their
     /// hashes.
     pub async fn forget_meshes(&self, unused_for: Duration) -> Result<Vec<String>> {
-        let mut tx = self.begin().await?;
-        let age_ms = i64::try_from(unused_for.as_millis()).unwrap_or(i64::MAX);
-        let before = now_ms(&mut tx).await?.saturating_sub(age_ms);
-        let delete = "DELETE FROM meshes WHERE created_ms <= $1 \
-                      AND NOT EXISTS (SELECT 1 FROM jobs WHERE jobs.mesh = meshes.hash \
-                      OR jobs.spec /*pg ::json */ -> 'simplified' ->> 'mesh' = meshes.hash) \
-                      RETURNING hash";
-        let delete = sqlx::query_scalar::<_, String>(sql(&tx, delete)).bind(before);
-        let hashes = delete.fetch_all(&mut *tx).await?;
-        tx.commit().await?;
-        Ok(hashes)
+        transaction!(self, tx, {
+            let age_ms = i64::try_from(unused_for.as_millis()).unwrap_or(i64::MAX);
+            let before = now_ms(&mut tx).await?.saturating_sub(age_ms);
+            let delete = "DELETE FROM meshes WHERE created_ms <= $1 \
+                          AND NOT EXISTS (SELECT 1 FROM jobs WHERE jobs.mesh = meshes.hash \
+                          OR jobs.spec /*pg ::json */ -> 'simplified' ->> 'mesh' = meshes.hash) \
+                          RETURNING hash";
+            let delete = sqlx::query_scalar::<_, String>(sql(&tx, delete)).bind(before);
+            let hashes = delete.fetch_all(&mut *tx).await?;
+            Ok(hashes)
+        })
     }
 
     /// The name of the objects that the database tells of.
@@ -122,28 +126,30 @@ impl Store {
 
     /// Creates a job under `id`, unless its request already made one; says whether it is new.
     pub async fn create(&self, id: &str, new: &NewJob, limits: &Limits) -> Result<(Job, bool)> {
-        let mut tx = self.begin().await?;
-        only(&mut tx, Exclusive::Create).await?;
-        if let Some(job) = owners::requested(&mut tx, new).await? {
-            return Ok((same_request(job, new)?, false));
-        }
-        check_queue(&mut tx, &new.owner, limits).await?;
-        let now = now_ms(&mut tx).await?;
-        keep_meshes(&mut tx, new, now).await?;
-        let spec = serde_json::to_string(&new.spec).map_err(stored("the specification"))?;
-        let insert = "INSERT INTO jobs (id, owner, mesh, file_name, spec, state, created_ms) \
-                      VALUES ($1, $2, $3, $4, $5, $6, $7)";
-        let insert = sqlx::query(insert).bind(id).bind(&new.owner).bind(&new.mesh);
-        let insert = insert.bind(&new.file_name).bind(spec).bind(State::Queued.name()).bind(now);
-        insert.execute(&mut *tx).await?;
-        owners::note_request(&mut tx, new, id).await?;
-        webhooks::note(&mut tx, new, id).await?;
-        let mut job = find(&mut tx, id).await?;
-        let entry = state_entry(&job, "CREATED", "waiting for a worker".into());
-        log(&mut tx, &mut job, now, &[entry]).await?;
-        pass(Point::CreateWritten);
-        tx.commit().await?;
-        Ok((job, true))
+        transaction!(self, tx, {
+            only(&mut tx, Exclusive::Create).await?;
+            if let Some(job) = owners::requested(&mut tx, new).await? {
+                return Ok((same_request(job, new)?, false));
+            }
+            check_queue(&mut tx, &new.owner, limits).await?;
+            let now = now_ms(&mut tx).await?;
+            keep_meshes(&mut tx, new, now).await?;
+            let spec = serde_json::to_string(&new.spec).map_err(stored("the specification"))?;
+            let insert = "INSERT INTO jobs (id, owner, mesh, file_name, spec, state, created_ms, \
+                          queued_ms, priority) VALUES ($1, $2, $3, $4, $5, $6, $7, $7, $8)";
+            let insert = sqlx::query(insert).bind(id).bind(&new.owner).bind(&new.mesh);
+            let insert =
+                insert.bind(&new.file_name).bind(spec).bind(State::Queued.name()).bind(now);
+            let insert = insert.bind(i64::from(new.priority));
+            insert.execute(&mut *tx).await?;
+            owners::note_request(&mut tx, new, id).await?;
+            webhooks::note(&mut tx, new, id).await?;
+            let mut job = find(&mut tx, id).await?;
+            let entry = state_entry(&job, "CREATED", "waiting for a worker".into());
+            log(&mut tx, &mut job, now, &[entry]).await?;
+            pass(Point::CreateWritten);
+            Ok((job, true))
+        })
     }
 
     /// One job.
@@ -197,48 +203,71 @@ impl Store {
     /// Cancels a queued job, or asks the worker of a running one to stop; says whether this call
     /// ended the job.
     pub async fn cancel(&self, id: &str) -> Result<(Job, bool)> {
-        let mut tx = self.begin().await?;
-        let mut job = find_to_write(&mut tx, id).await?;
-        if job.state == State::Cancelled || job.cancel_requested {
-            return Ok((job, false));
-        }
-        let remedy = "only a job that waits or runs can be cancelled";
-        let Some(state) = job.state.after(Trigger::Cancel) else {
-            return Err(Error::Illegal { job: job.name(), state: job.state, remedy });
-        };
-        let now = now_ms(&mut tx).await?;
-        job.cancel_requested = true;
-        if job.state == State::Running {
-            let update = sqlx::query("UPDATE jobs SET cancel_requested = 1 WHERE id = $1");
-            update.bind(id).execute(&mut *tx).await?;
-        } else {
+        transaction!(self, tx, {
+            let mut job = find_to_write(&mut tx, id).await?;
+            if job.state == State::Cancelled || job.cancel_requested {
+                return Ok((job, false));
+            }
+            let remedy = "only a job that waits or runs can be cancelled";
+            let Some(state) = job.state.after(Trigger::Cancel) else {
+                return Err(Error::Illegal { job: job.name(), state: job.state, remedy });
+            };
+            let now = now_ms(&mut tx).await?;
+            job.cancel_requested = true;
+            if job.state == State::Running {
+                let update = sqlx::query("UPDATE jobs SET cancel_requested = 1 WHERE id = $1");
+                update.bind(id).execute(&mut *tx).await?;
+            } else {
+                job.state = state;
+                job.ended_ms = Some(now);
+                let update =
+                    "UPDATE jobs SET cancel_requested = 1, state = $1, ended_ms = $2 WHERE id = $3";
+                let update = sqlx::query(update).bind(job.state.name()).bind(now).bind(id);
+                update.execute(&mut *tx).await?;
+                let entry = state_entry(&job, "CANCELLED", "cancelled on request".into());
+                log(&mut tx, &mut job, now, &[entry]).await?;
+                webhooks::due(&mut tx, id, now).await?;
+            }
+            let has_ended = job.state.is_final();
+            Ok((job, has_ended))
+        })
+    }
+
+    /// Queues a job anew that failed or was cancelled, with all its log; says whether this call did it. One that
+    /// waits or runs is left alone.
+    pub async fn retry(&self, id: &str, limits: &Limits) -> Result<(Job, bool)> {
+        transaction!(self, tx, {
+            only(&mut tx, Exclusive::Create).await?;
+            let mut job = find_to_write(&mut tx, id).await?;
+            let Some(state) = job.state.after(Trigger::Retry) else {
+                let remedy = if job.state.is_final() {
+                    "it has its results: submit it again if you want others"
+                } else if job.cancel_requested {
+                    "it is being cancelled: retry it when that is confirmed"
+                } else {
+                    return Ok((job, false));
+                };
+                return Err(Error::Illegal { job: job.name(), state: job.state, remedy });
+            };
+            check_queue(&mut tx, &job.owner, limits).await?;
             job.state = state;
-            job.ended_ms = Some(now);
-            let update =
-                "UPDATE jobs SET cancel_requested = 1, state = $1, ended_ms = $2 WHERE id = $3";
-            let update = sqlx::query(update).bind(job.state.name()).bind(now).bind(id);
-            update.execute(&mut *tx).await?;
-            let entry = state_entry(&job, "CANCELLED", "cancelled on request".into());
-            log(&mut tx, &mut job, now, &[entry]).await?;
-            webhooks::due(&mut tx, id, now).await?;
-        }
-        tx.commit().await?;
-        let has_ended = job.state.is_final();
-        Ok((job, has_ended))
+            renew(&mut tx, &mut job).await?;
+            Ok((job, true))
+        })
     }
 
     /// Deletes an ended job, with its log and the list of its artifacts.
     pub async fn delete(&self, id: &str) -> Result<()> {
-        let mut tx = self.begin().await?;
-        let job = find_to_write(&mut tx, id).await?;
-        if !job.state.is_final() {
-            let remedy = "cancel it first";
-            return Err(Error::Illegal { job: job.name(), state: job.state, remedy });
-        }
-        sqlx::query("DELETE FROM jobs WHERE id = $1").bind(id).execute(&mut *tx).await?;
-        pass(Point::DeleteWritten);
-        tx.commit().await?;
-        Ok(())
+        transaction!(self, tx, {
+            let job = find_to_write(&mut tx, id).await?;
+            if !job.state.is_final() {
+                let remedy = "cancel it first";
+                return Err(Error::Illegal { job: job.name(), state: job.state, remedy });
+            }
+            sqlx::query("DELETE FROM jobs WHERE id = $1").bind(id).execute(&mut *tx).await?;
+            pass(Point::DeleteWritten);
+            Ok(())
+        })
     }
 
     /// The artifacts of the attempt that ended the job, by name; none while it has not ended.
@@ -268,6 +297,39 @@ impl Store {
         Ok(query.bind(id).fetch_one(&self.readers).await? == 1)
     }
 }
+
+/// Takes from a job that has ended what it ended with, and says so in its log.
+async fn renew(tx: &mut Tx, job: &mut Job) -> Result<()> {
+    let now = now_ms(tx).await?;
+    let update = "UPDATE jobs SET state = $1, queued_ms = $2, worker = '', lost = 0, cancel_requested = 0, \
+                  preempt = 0, failure_reason = '', failure_text = '', ended_ms = NULL, stage = '', \
+                  fraction = 0, swept = 0 WHERE id = $3";
+    let update = sqlx::query(update).bind(job.state.name()).bind(now).bind(&job.id);
+    update.execute(&mut **tx).await?;
+    // What was lost before is history, and speaks against it no more; nor is anything left of its results.
+    for forget in
+        ["UPDATE attempts SET counts = 0 WHERE job = $1", "DELETE FROM artifacts WHERE job = $1"]
+    {
+        sqlx::query(forget).bind(&job.id).execute(&mut **tx).await?;
+    }
+    checkpoints::forget(tx, &job.id).await?;
+    webhooks::renew(tx, &job.id).await?;
+    let mut renewed = find(tx, &job.id).await?;
+    let text = "queued anew on request";
+    let restarted = ServerEvent::Restarted {
+        rewind_to_seq: CREATED_SEQ,
+        lost_attempt: renewed.attempt,
+        reason: RETRIED.into(),
+        text: text.into(),
+    };
+    let entries = [(Body::Server(restarted), None), state_entry(&renewed, RETRIED, text.into())];
+    log(tx, &mut renewed, now, &entries).await?;
+    *job = renewed;
+    Ok(())
+}
+
+/// Why a job waits that had ended.
+const RETRIED: &str = "RETRIED";
 
 /// Refuses when as many jobs wait as may. Waiting jobs are counted only where they may be so many, by the numbers
 /// of the first and the last of them: counting takes the longer the more there are.

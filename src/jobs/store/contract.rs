@@ -2,6 +2,8 @@
 //!
 //! Each [`Store`] here is a server: its connections are its own.
 
+mod queue;
+
 use std::{collections::BTreeSet, time::Duration};
 
 use futures::future::{join_all, try_join_all};
@@ -62,6 +64,8 @@ in_homes! { [on_sqlite on_postgres] [
     texts_are_kept_and_ordered_by_their_bytes,
     the_clock_is_the_database_s,
     expired_leases_are_lost_once,
+    what_is_refused_holds_no_row,
+    transactions_that_lose_are_tried_again,
     results_go_when_their_time_is_up_unless_pinned,
     webhooks_are_due_with_the_end_and_taken_once,
     webhooks_go_with_their_job_and_nobody_is_called_unasked,
@@ -85,7 +89,15 @@ async fn add_mesh(store: &Store, name: &str) {
 fn new_job(request_id: &str) -> NewJob {
     let (request_id, file_name) = (request_id.into(), "a.ply".into());
     let (owner, mesh) = (LOCAL.into(), hash("mesh"));
-    NewJob { owner, request_id, mesh, file_name, spec: Spec::new(vec![5]), webhook: String::new() }
+    NewJob {
+        owner,
+        request_id,
+        mesh,
+        file_name,
+        spec: Spec::new(vec![5]),
+        priority: 0,
+        webhook: String::new(),
+    }
 }
 
 /// No more than so many jobs may wait.
@@ -238,7 +250,7 @@ async fn logs_have_no_gaps_whoever_writes(home: Home) {
         tokio::join!(write(&stores[0], 7), write(&stores[1], 11), stores[1].cancel("a0"));
     assert!(cancelled.unwrap().0.cancel_requested);
     let many = stores[1].append(&lease, 100, &notes(9000)).await.unwrap();
-    assert_eq!((many.held, many.cancel_requested), (9100, true));
+    assert_eq!((many.held, many.orders.cancel), (9100, true));
     let log = stores[1].events("a0", 0, 20_000).await.unwrap();
     let seqs: Vec<_> = log.iter().map(|stored| stored.event.seq).collect();
     assert_eq!(seqs, (1..=9102).collect::<Vec<_>>());
@@ -322,13 +334,53 @@ async fn expired_leases_are_lost_once(home: Home) {
     create(&stores[0], "a", 10).await;
     let short = Terms { lease: Duration::from_millis(1), ..Terms::default() };
     for w in 0..10 {
-        stores[0].claim(&format!("w{w}"), &short).await.unwrap().unwrap();
+        stores[0].claim(&*format!("w{w}"), &short).await.unwrap().unwrap();
     }
     tokio::time::sleep(Duration::from_millis(20)).await;
     let (a, b) = tokio::join!(stores[0].lose_expired(3), stores[1].lose_expired(3));
     assert_eq!(a.unwrap().len() + b.unwrap().len(), 10);
     for job in stores[1].list(None, &[], None, 99).await.unwrap() {
         assert_eq!((job.state, job.lost, job.last_seq), (State::Queued, 1, 4));
+    }
+}
+
+async fn what_is_refused_holds_no_row(home: Home) {
+    let stores: [Store; 2] = home.servers().await;
+    create(&stores[0], "a", 1).await;
+    let (_, mut stale) = claim(&stores[0], "w0").await.unwrap();
+    for i in 1..40 {
+        let handed_back = Outcome::Released(String::new());
+        stores[0].complete(&stale, &handed_back, 3).await.unwrap();
+        let refused = stores[i % 2].complete(&stale, &handed_back, 3).await;
+        assert!(matches!(refused, Err(Error::Stale { .. })));
+        // A claim skips rows that are locked.
+        let (_, lease) = claim(&stores[(i + 1) % 2], &format!("w{i}")).await.unwrap();
+        assert!(matches!(stores[0].cancel("none").await, Err(Error::NotFound(_))));
+        stale = lease;
+    }
+}
+
+async fn transactions_that_lose_are_tried_again(home: Home) {
+    let stores: [Store; 2] = home.servers().await;
+    create(&stores[0], "a", 2).await;
+    // They lock the same jobs, each in its own order.
+    let rename = async |store: &Store, ids: [&str; 2]| {
+        transaction!(store, tx, {
+            for id in ids {
+                find_to_write(&mut tx, id).await?;
+                tokio::time::sleep(Duration::from_millis(200)).await;
+                let update = sqlx::query("UPDATE jobs SET lost = lost + 1 WHERE id = $1");
+                update.bind(id).execute(&mut *tx).await?;
+            }
+            Ok(())
+        })
+    };
+    let (one, two) =
+        tokio::join!(rename(&stores[0], ["a0", "a1"]), rename(&stores[1], ["a1", "a0"]));
+    one.unwrap();
+    two.unwrap();
+    for id in ["a0", "a1"] {
+        assert_eq!(stores[0].job(id).await.unwrap().lost, 2, "each has written once");
     }
 }
 

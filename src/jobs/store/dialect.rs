@@ -152,8 +152,8 @@ const NAMES: &[(&str, &str)] = &[
 ];
 
 impl Dialect {
-    fn text(&self, sql: &'static str) -> Cow<'static, str> {
-        let replace = |text: Cow<'static, str>, (from, to): &(&str, &str)| {
+    fn text<'t>(&self, sql: &'t str) -> Cow<'t, str> {
+        let replace = |text: Cow<'t, str>, (from, to): &(&str, &str)| {
             if text.contains(from) { Cow::Owned(text.replace(from, to)) } else { text }
         };
         self.names.iter().fold(Cow::Borrowed(sql), replace)
@@ -167,6 +167,8 @@ impl Dialect {
             (10, "webhooks", include_str!("../migrations/0010_webhooks.sql")),
             (11, "results", include_str!("../migrations/0011_results.sql")),
             (12, "checkpoints", include_str!("../migrations/0012_checkpoints.sql")),
+            (13, "attempts", include_str!("../migrations/0013_attempts.sql")),
+            (14, "queue", include_str!("../migrations/0014_queue.sql")),
         ];
         let migration = |(version, name, sql): (i64, &'static str, &'static str)| {
             let sql = sqlx::SqlSafeStr::into_sql_str(AssertSqlSafe(self.text(sql).into_owned()));
@@ -177,7 +179,7 @@ impl Dialect {
 }
 
 /// SQL as the database behind `conn` wants it. Only for texts that the two know differently.
-pub(super) fn sql(conn: &AnyConnection, text: &'static str) -> AssertSqlSafe<String> {
+pub(super) fn sql(conn: &AnyConnection, text: &str) -> AssertSqlSafe<String> {
     let dialect = [&SQLITE, &POSTGRES].into_iter().find(|d| d.backend == conn.backend_name());
     AssertSqlSafe(dialect.unwrap_or(&SQLITE).text(text).into_owned())
 }

@@ -10,13 +10,13 @@ use crate::jobs::error::Result;
 impl Store {
     /// Keeps the results of a job beyond their time, or no longer so.
     pub async fn pin(&self, id: &str, pinned: bool) -> Result<Job> {
-        let mut tx = self.begin().await?;
-        let mut job = find_to_write(&mut tx, id).await?;
-        job.pinned = pinned;
-        let update = sqlx::query("UPDATE jobs SET pinned = $1 WHERE id = $2");
-        update.bind(i64::from(pinned)).bind(id).execute(&mut *tx).await?;
-        tx.commit().await?;
-        Ok(job)
+        transaction!(self, tx, {
+            let mut job = find_to_write(&mut tx, id).await?;
+            job.pinned = pinned;
+            let update = sqlx::query("UPDATE jobs SET pinned = $1 WHERE id = $2");
+            update.bind(i64::from(pinned)).bind(id).execute(&mut *tx).await?;
+            Ok(job)
+        })
     }
 
     /// At most `limit` jobs whose results are to be removed: they ended so long ago and are not pinned, or
@@ -32,17 +32,17 @@ impl Store {
 
     /// Forgets the results of an ended job, unless it is pinned; the job, if so, whose bytes may go.
     pub async fn forget_results(&self, id: &str) -> Result<Option<Job>> {
-        let mut tx = self.begin().await?;
-        let mut job = find_to_write(&mut tx, id).await?;
-        if !job.state.is_final() || (job.pinned && !job.results_removed) {
-            return Ok(None);
-        }
-        sqlx::query("DELETE FROM artifacts WHERE job = $1").bind(id).execute(&mut *tx).await?;
-        let update = sqlx::query("UPDATE jobs SET swept = 1 WHERE id = $1 AND swept = 0");
-        update.bind(id).execute(&mut *tx).await?;
-        tx.commit().await?;
-        job.results_removed = true;
-        Ok(Some(job))
+        transaction!(self, tx, {
+            let mut job = find_to_write(&mut tx, id).await?;
+            if !job.state.is_final() || (job.pinned && !job.results_removed) {
+                return Ok(None);
+            }
+            sqlx::query("DELETE FROM artifacts WHERE job = $1").bind(id).execute(&mut *tx).await?;
+            let update = sqlx::query("UPDATE jobs SET swept = 1 WHERE id = $1 AND swept = 0");
+            update.bind(id).execute(&mut *tx).await?;
+            job.results_removed = true;
+            Ok(Some(job))
+        })
     }
 
     /// Notes that the bytes of a job's results are gone.

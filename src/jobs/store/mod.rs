@@ -1,5 +1,5 @@
-//! The job database, SQLite or PostgreSQL (`dialect.rs`), and all of its SQL (here, in `checkpoints.rs`, `clients.rs`,
-//! `expiry.rs`, `owners.rs`, `webhooks.rs` and `workers.rs`).
+//! The job database, SQLite or PostgreSQL (`dialect.rs`), and all of its SQL (here, in `attempts.rs`, `checkpoints.rs`,
+//! `clients.rs`, `expiry.rs`, `fleet.rs`, `owners.rs`, `queue.rs`, `webhooks.rs` and `workers.rs`).
 //!
 //! 1. A transaction that reads before it writes locks first what it reads: SQLite by BEGIN IMMEDIATE (a
 //!    deferred one that upgrades is refused with SQLITE_BUSY whatever the busy timeout), PostgreSQL
@@ -10,15 +10,23 @@
 //! 5. Every write for a worker is conditional on its lease (`workers.rs`).
 //! 6. Jobs are created one at a time, also by several servers: their numbers are committed in order,
 //!    so that pages neither repeat nor skip, and caps on the queue are exact.
+//! 7. What is refused is rolled back when the refusal is heard of, and what lost against another transaction is tried
+//!    again (`transaction.rs`).
 //!
 //! Knows nothing of objects, or of who asks.
 
+#[macro_use]
+mod transaction;
+
+mod attempts;
 mod checkpoints;
 mod clients;
 mod dialect;
 mod expiry;
+mod fleet;
 mod listen;
 mod owners;
+mod queue;
 mod webhooks;
 mod workers;
 
@@ -33,19 +41,23 @@ use self::dialect::{places, sql};
 use super::{
     error::{Error, Result},
     event::{Body, Event, ServerEvent},
+    lease::Orders,
     spec::Spec,
     state::State,
 };
 
+pub use attempts::Attempt;
 pub use checkpoints::{Piece, RESUMED};
 pub use clients::{MeshLock, NewJob};
 pub use dialect::Address;
+pub use fleet::{Service, Worker};
 pub use listen::{Ear, Heard};
 pub use webhooks::{CallEnd, DueCall};
 pub use workers::{Appended, Outcome};
 
 /// A job as stored.
 #[derive(Clone, Debug, PartialEq)]
+#[expect(clippy::struct_excessive_bools, reason = "it is a row of a table")]
 pub struct Job {
     /// Order of creation, from 1.
     pub n: i64,
@@ -67,7 +79,7 @@ pub struct Job {
     pub epoch: u64,
     /// Who holds or last held the lease; empty when it was taken away.
     pub worker: String,
-    /// Lost attempts that count against the job.
+    /// How much speaks against the job: workers that have lost it (`lease::blame`).
     pub lost: u32,
     /// A client asked to stop it.
     pub cancel_requested: bool,
@@ -87,6 +99,10 @@ pub struct Job {
     pub started_ms: Option<i64>,
     /// When it ended.
     pub ended_ms: Option<i64>,
+    /// Those of higher priority come first.
+    pub priority: i32,
+    /// One of higher priority waits for its worker.
+    pub preempt: bool,
     /// Its results are kept beyond their time.
     pub pinned: bool,
     /// Its results are gone: their time was up.
@@ -97,6 +113,11 @@ impl Job {
     /// Resource name, `jobs/{id}`.
     pub fn name(&self) -> String {
         format!("jobs/{}", self.id)
+    }
+
+    /// What its worker should do.
+    pub(super) fn orders(&self) -> Orders {
+        Orders { cancel: self.cancel_requested, drain: false, preempt: self.preempt }
     }
 }
 
@@ -181,6 +202,8 @@ enum Exclusive<'a> {
     Create,
     /// Counting what an owner has against what it may have.
     Count,
+    /// Asking workers to make room.
+    Preempt,
     /// Storing or sweeping the mesh of this hash.
     Mesh(&'a str),
 }
@@ -191,6 +214,7 @@ impl Exclusive<'_> {
         match self {
             Self::Create => -1,
             Self::Count => -2,
+            Self::Preempt => -3,
             // 60 bits of it; meshes that share them wait for one another.
             Self::Mesh(hash) => {
                 i64::from_str_radix(hash.get(..15).unwrap_or_default(), 16).unwrap_or(0)
@@ -306,6 +330,8 @@ fn job_of(row: &AnyRow) -> Result<Job> {
         created_ms: int("created_ms")?,
         started_ms: row.try_get("started_ms")?,
         ended_ms: row.try_get("ended_ms")?,
+        priority: int("priority")? as i32,
+        preempt: int("preempt")? != 0,
         pinned: int("pinned")? != 0,
         results_removed: int("swept")? != 0,
         id,

@@ -19,20 +19,21 @@ impl Store {
     /// Notes that `owner` has uploaded a stored mesh; false when that was known. Refused when its
     /// things would be more than `limit` bytes with it.
     pub async fn own_mesh(&self, owner: &str, hash: &str, size: u64, limit: u64) -> Result<bool> {
-        let mut tx = self.begin().await?;
-        only(&mut tx, Exclusive::Count).await?;
-        let insert = "INSERT INTO mesh_owners (owner, mesh) VALUES ($1, $2) ON CONFLICT DO NOTHING";
-        let done = sqlx::query(insert).bind(owner).bind(hash).execute(&mut *tx).await?;
-        let is_new = done.rows_affected() == 1;
-        if is_new && size > 0 && limit < u64::MAX {
-            let stored = sqlx::query_scalar::<_, i64>(STORED_BYTES).bind(owner);
-            if stored.fetch_one(&mut *tx).await? as u64 > limit {
-                // The bytes stay without an owner, and go with the meshes that nobody wants.
-                return Err(Error::Quota { quota: Quota::Bytes, limit });
+        transaction!(self, tx, {
+            only(&mut tx, Exclusive::Count).await?;
+            let insert =
+                "INSERT INTO mesh_owners (owner, mesh) VALUES ($1, $2) ON CONFLICT DO NOTHING";
+            let done = sqlx::query(insert).bind(owner).bind(hash).execute(&mut *tx).await?;
+            let is_new = done.rows_affected() == 1;
+            if is_new && size > 0 && limit < u64::MAX {
+                let stored = sqlx::query_scalar::<_, i64>(STORED_BYTES).bind(owner);
+                if stored.fetch_one(&mut *tx).await? as u64 > limit {
+                    // The bytes stay without an owner, and go with the meshes that nobody wants.
+                    return Err(Error::Quota { quota: Quota::Bytes, limit });
+                }
             }
-        }
-        tx.commit().await?;
-        Ok(is_new)
+            Ok(is_new)
+        })
     }
 
     /// Size in bytes of a stored mesh that `owner` has uploaded.
@@ -52,24 +53,24 @@ impl Store {
 
     /// Writes entries of the audit table.
     pub async fn audit(&self, entries: &[AuditEntry]) -> Result<()> {
-        let mut tx = self.begin().await?;
-        let now = now_ms(&mut tx).await?;
-        for entry in entries {
-            audit(&mut tx, entry, now).await?;
-        }
-        tx.commit().await?;
-        Ok(())
+        transaction!(self, tx, {
+            let now = now_ms(&mut tx).await?;
+            for entry in entries {
+                audit(&mut tx, entry, now).await?;
+            }
+            Ok(())
+        })
     }
 
     /// Removes the entries of the audit table that are older.
     pub async fn forget_audit(&self, older_than: Duration) -> Result<()> {
-        let mut tx = self.begin().await?;
-        let age_ms = i64::try_from(older_than.as_millis()).unwrap_or(i64::MAX);
-        let before = now_ms(&mut tx).await?.saturating_sub(age_ms);
-        let delete = sqlx::query("DELETE FROM audit WHERE at_ms < $1").bind(before);
-        delete.execute(&mut *tx).await?;
-        tx.commit().await?;
-        Ok(())
+        transaction!(self, tx, {
+            let age_ms = i64::try_from(older_than.as_millis()).unwrap_or(i64::MAX);
+            let before = now_ms(&mut tx).await?.saturating_sub(age_ms);
+            let delete = sqlx::query("DELETE FROM audit WHERE at_ms < $1").bind(before);
+            delete.execute(&mut *tx).await?;
+            Ok(())
+        })
     }
 }
 

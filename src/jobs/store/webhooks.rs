@@ -42,45 +42,44 @@ impl Store {
         if sqlx::query_scalar::<_, i64>(query).bind(now).fetch_one(&self.readers).await? == 0 {
             return Ok(Vec::new());
         }
-        let mut tx = self.begin().await?;
-        // What another server has taken is its own.
-        let query = "SELECT job, id, url, attempts FROM webhooks WHERE next_ms <= $1 \
-                     ORDER BY next_ms, job LIMIT $2 /*pg FOR UPDATE SKIP LOCKED */";
-        let query = sqlx::query(sql(&tx, query)).bind(now).bind(i64::from(limit));
-        let rows = query.fetch_all(&mut *tx).await?;
-        let mut due = Vec::with_capacity(rows.len());
-        for row in &rows {
-            let job = find(&mut tx, row.try_get("job")?).await?;
-            let attempt = row.try_get::<i64, _>("attempts")? + 1;
-            let update = "UPDATE webhooks SET attempts = $1, next_ms = $2 WHERE job = $3";
-            let until = now.saturating_add(held_for.as_millis() as i64);
-            let update = sqlx::query(update).bind(attempt).bind(until).bind(&job.id);
-            update.execute(&mut *tx).await?;
-            let (id, url) = (row.try_get("id")?, row.try_get("url")?);
-            due.push(DueCall { id, url, attempt: attempt as u32, job });
-        }
-        tx.commit().await?;
-        Ok(due)
+        transaction!(self, tx, {
+            // What another server has taken is its own.
+            let query = "SELECT job, id, url, attempts FROM webhooks WHERE next_ms <= $1 \
+                         ORDER BY next_ms, job LIMIT $2 /*pg FOR UPDATE SKIP LOCKED */";
+            let query = sqlx::query(sql(&tx, query)).bind(now).bind(i64::from(limit));
+            let rows = query.fetch_all(&mut *tx).await?;
+            let mut due = Vec::with_capacity(rows.len());
+            for row in &rows {
+                let job = find(&mut tx, row.try_get("job")?).await?;
+                let attempt = row.try_get::<i64, _>("attempts")? + 1;
+                let update = "UPDATE webhooks SET attempts = $1, next_ms = $2 WHERE job = $3";
+                let until = now.saturating_add(held_for.as_millis() as i64);
+                let update = sqlx::query(update).bind(attempt).bind(until).bind(&job.id);
+                update.execute(&mut *tx).await?;
+                let (id, url) = (row.try_get("id")?, row.try_get("url")?);
+                due.push(DueCall { id, url, attempt: attempt as u32, job });
+            }
+            Ok(due)
+        })
     }
 
     /// Notes how an attempt ended, unless a later one has begun.
     pub async fn end_call(&self, call: &DueCall, end: &CallEnd) -> Result<()> {
-        let mut tx = self.begin().await?;
-        let now = now_ms(&mut tx).await?;
-        let (outcome, next_ms) = match end {
-            CallEnd::Delivered => ("DELIVERED", None),
-            CallEnd::Again(why, pause) => {
-                (why.as_str(), Some(now.saturating_add(pause.as_millis() as i64)))
-            }
-            CallEnd::GivenUp(why) => (why.as_str(), None),
-        };
-        let update =
-            "UPDATE webhooks SET outcome = $1, next_ms = $2 WHERE job = $3 AND attempts = $4";
-        let update = sqlx::query(update).bind(storable(outcome)).bind(next_ms);
-        let update = update.bind(&call.job.id).bind(i64::from(call.attempt));
-        update.execute(&mut *tx).await?;
-        tx.commit().await?;
-        Ok(())
+        transaction!(self, tx, {
+            let now = now_ms(&mut tx).await?;
+            let (outcome, next_ms) = match end {
+                CallEnd::Delivered => ("DELIVERED", None),
+                CallEnd::Again(why, pause) => {
+                    (why.as_str(), Some(now.saturating_add(pause.as_millis() as i64)))
+                }
+                CallEnd::GivenUp(why) => (why.as_str(), None),
+            };
+            let update = "UPDATE webhooks SET outcome = $1, next_ms = $2 WHERE job = $3 AND attempts = $4 AND id = $5";
+            let update = sqlx::query(update).bind(storable(outcome)).bind(next_ms);
+            let update = update.bind(&call.job.id).bind(i64::from(call.attempt)).bind(&call.id);
+            update.execute(&mut *tx).await?;
+            Ok(())
+        })
     }
 }
 
@@ -92,6 +91,15 @@ pub(super) async fn note(tx: &mut Tx, new: &NewJob, job: &str) -> Result<()> {
         let insert = insert.bind(job).bind(id).bind(storable(&new.webhook));
         insert.execute(&mut **tx).await?;
     }
+    Ok(())
+}
+
+/// The job begins anew: its next end is another one, to be told of by a call of another name.
+pub(super) async fn renew(tx: &mut Tx, job: &str) -> Result<()> {
+    let update =
+        "UPDATE webhooks SET id = $1, next_ms = NULL, attempts = 0, outcome = '' WHERE job = $2";
+    let id = uuid::Uuid::new_v4().to_string();
+    sqlx::query(update).bind(id).bind(job).execute(&mut **tx).await?;
     Ok(())
 }
 

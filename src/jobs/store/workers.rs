@@ -6,13 +6,15 @@
 use sqlx::AnyConnection;
 
 use super::{
-    Artifact, Body, Job, SegmentRange, Store, Tx, checkpoints, find, find_to_write, job_of, log,
-    now_ms, sql, state_entry, storable, webhooks,
+    Artifact, Body, Job, SegmentRange, Store, Tx,
+    attempts::{self, Finish},
+    checkpoints, find, find_to_write, fleet, job_of, log, now_ms, queue, sql, state_entry,
+    storable, webhooks,
 };
 use crate::jobs::{
     error::{Error, Result},
     event::{CREATED_SEQ, Report, ServerEvent},
-    lease::{Lease, Loss, Terms, verdict},
+    lease::{Claimant, Lease, Loss, Orders, Terms, verdict},
     points::{Point, pass},
     state::Trigger,
 };
@@ -37,36 +39,43 @@ pub enum Outcome {
 pub struct Appended {
     /// Events of this attempt now held.
     pub held: u64,
-    /// The worker should stop.
-    pub cancel_requested: bool,
+    /// What the worker should do.
+    pub orders: Orders,
 }
 
 impl Store {
-    /// Gives the oldest queued job to `worker`.
-    pub async fn claim(&self, worker: &str, terms: &Terms) -> Result<Option<Job>> {
-        let mut tx = self.begin().await?;
-        lose_all_of(&mut tx, worker, Loss::Abandoned, terms.max_lost).await?;
-        let query = "SELECT * FROM jobs WHERE state = 'QUEUED' ORDER BY n LIMIT 1 \
-                     /*pg FOR UPDATE SKIP LOCKED */";
-        let row = sqlx::query(sql(&tx, query)).fetch_optional(&mut *tx).await?;
-        let job = match row {
-            Some(row) => Some(start(&mut tx, job_of(&row)?, worker, terms).await?),
-            None => None,
-        };
-        pass(Point::ClaimWritten);
-        tx.commit().await?;
-        Ok(job)
+    /// Gives the queued job whose turn it is to a worker, those last that its host has lost; refused when the host is
+    /// out of service.
+    pub async fn claim(&self, who: impl Into<Claimant>, terms: &Terms) -> Result<Option<Job>> {
+        let who = who.into();
+        let claimed = transaction!(self, tx, {
+            lose_all_of(&mut tx, &who.worker, Loss::Abandoned, terms.max_lost).await?;
+            let now = now_ms(&mut tx).await?;
+            if let Some(refusal) = fleet::check_in(&mut tx, &who, terms, now).await? {
+                // What has been found out about the host stays.
+                return Ok(Err(refusal));
+            }
+            let job = match queue::next(&mut tx, &who, terms, now).await? {
+                Some(job) => Some(start(&mut tx, job, &who, terms).await?),
+                None => None,
+            };
+            pass(Point::ClaimWritten);
+            Ok(Ok(job))
+        });
+        claimed?
     }
 
-    /// Extends a lease; true when the worker should stop.
-    pub async fn heartbeat(&self, lease: &Lease, terms: &Terms) -> Result<bool> {
-        let mut tx = self.begin().await?;
-        let job = held_to_write(&mut tx, lease).await?;
-        let until = now_ms(&mut tx).await? + terms.lease.as_millis() as i64;
-        let update = sqlx::query("UPDATE jobs SET lease_until_ms = $1 WHERE id = $2");
-        update.bind(until).bind(&lease.job).execute(&mut *tx).await?;
-        tx.commit().await?;
-        Ok(job.cancel_requested)
+    /// Extends a lease; what the worker should do.
+    pub async fn heartbeat(&self, lease: &Lease, terms: &Terms) -> Result<Orders> {
+        transaction!(self, tx, {
+            let job = held_to_write(&mut tx, lease).await?;
+            let now = now_ms(&mut tx).await?;
+            let until = now + terms.lease.as_millis() as i64;
+            let update = sqlx::query("UPDATE jobs SET lease_until_ms = $1 WHERE id = $2");
+            update.bind(until).bind(&lease.job).execute(&mut *tx).await?;
+            let drain = fleet::seen(&mut tx, &job, terms, now).await?;
+            Ok(Orders { drain, ..job.orders() })
+        })
     }
 
     /// The job, if the lease is good at this moment.
@@ -82,70 +91,74 @@ impl Store {
         first: u64,
         entries: &[(Body, Option<SegmentRange>)],
     ) -> Result<Appended> {
-        let mut tx = self.begin().await?;
-        let mut job = held_to_write(&mut tx, lease).await?;
-        let held = job.appended;
-        let skip = held.checked_sub(first).ok_or(Error::Gap { first, held })?;
-        let entries = entries.get(skip as usize..).unwrap_or_default();
-        if !entries.is_empty() {
-            let now = now_ms(&mut tx).await?;
-            log(&mut tx, &mut job, now, entries).await?;
-            job.appended += entries.len() as u64;
-            note_progress(&mut job, entries);
-            let update = "UPDATE jobs SET appended = $1, stage = $2, fraction = $3 WHERE id = $4";
-            let update = sqlx::query(update).bind(job.appended as i64).bind(&job.stage);
-            update.bind(job.fraction).bind(&job.id).execute(&mut *tx).await?;
-            pass(Point::AppendWritten);
-            tx.commit().await?;
-        }
-        Ok(Appended { held: job.appended, cancel_requested: job.cancel_requested })
+        transaction!(self, tx, {
+            let mut job = held_to_write(&mut tx, lease).await?;
+            let held = job.appended;
+            let skip = held.checked_sub(first).ok_or(Error::Gap { first, held })?;
+            let entries = entries.get(skip as usize..).unwrap_or_default();
+            if !entries.is_empty() {
+                let now = now_ms(&mut tx).await?;
+                log(&mut tx, &mut job, now, entries).await?;
+                job.appended += entries.len() as u64;
+                note_progress(&mut job, entries);
+                let update =
+                    "UPDATE jobs SET appended = $1, stage = $2, fraction = $3 WHERE id = $4";
+                let update = sqlx::query(update).bind(job.appended as i64).bind(&job.stage);
+                update.bind(job.fraction).bind(&job.id).execute(&mut *tx).await?;
+                pass(Point::AppendWritten);
+            }
+            Ok(Appended { held: job.appended, orders: job.orders() })
+        })
     }
 
     /// Notes that a file of the result is stored.
     pub async fn add_artifact(&self, lease: &Lease, artifact: &Artifact) -> Result<()> {
-        let mut tx = self.begin().await?;
-        held_to_write(&mut tx, lease).await?;
-        let insert = "INSERT INTO artifacts VALUES ($1, $2, $3, $4, $5, $6) \
-                      ON CONFLICT (job, epoch, file) DO UPDATE SET \
-                      media_type = excluded.media_type, size = excluded.size, \
-                      blake3 = excluded.blake3";
-        let insert =
-            sqlx::query(insert).bind(&lease.job).bind(lease.epoch as i64).bind(&artifact.file);
-        let insert = insert.bind(storable(&artifact.media_type)).bind(artifact.size as i64);
-        insert.bind(&artifact.blake3).execute(&mut *tx).await?;
-        pass(Point::ArtifactWritten);
-        tx.commit().await?;
-        Ok(())
+        transaction!(self, tx, {
+            held_to_write(&mut tx, lease).await?;
+            let insert = "INSERT INTO artifacts VALUES ($1, $2, $3, $4, $5, $6) \
+                          ON CONFLICT (job, epoch, file) DO UPDATE SET \
+                          media_type = excluded.media_type, size = excluded.size, \
+                          blake3 = excluded.blake3";
+            let insert =
+                sqlx::query(insert).bind(&lease.job).bind(lease.epoch as i64).bind(&artifact.file);
+            let insert = insert.bind(storable(&artifact.media_type)).bind(artifact.size as i64);
+            insert.bind(&artifact.blake3).execute(&mut *tx).await?;
+            pass(Point::ArtifactWritten);
+            Ok(())
+        })
     }
 
     /// Ends the attempt. A repetition of the call that ended the job is accepted.
     pub async fn complete(&self, lease: &Lease, outcome: &Outcome, max_lost: u32) -> Result<Job> {
-        let mut tx = self.begin().await?;
-        if let Some(job) = repeated(&mut tx, lease, outcome).await? {
-            return Ok(job);
-        }
-        let job = held_to_write(&mut tx, lease).await?;
-        let job = match outcome {
-            Outcome::Succeeded(files) => succeed(&mut tx, job, files).await?,
-            Outcome::Failed(reason, text) => {
-                end(&mut tx, job, Trigger::Fail, reason, text.clone()).await?
+        transaction!(self, tx, {
+            if let Some(job) = repeated(&mut tx, lease, outcome).await? {
+                return Ok(job);
             }
-            Outcome::Cancelled if !job.cancel_requested => {
-                let remedy = "nobody asked to cancel it: complete it in another way";
-                return Err(Error::Illegal { job: job.name(), state: job.state, remedy });
-            }
-            Outcome::Cancelled => {
-                let text = "cancelled on request".into();
-                end(&mut tx, job, Trigger::Cancel, "CANCELLED", text).await?
-            }
-            Outcome::AttemptFailed(text) => {
-                lose(&mut tx, job, Loss::AttemptFailed, text, max_lost).await?
-            }
-            Outcome::Released(text) => lose(&mut tx, job, Loss::Released, text, max_lost).await?,
-        };
-        pass(Point::CompleteWritten);
-        tx.commit().await?;
-        Ok(job)
+            let job = held_to_write(&mut tx, lease).await?;
+            let job = match outcome {
+                Outcome::Succeeded(files) => succeed(&mut tx, job, files).await?,
+                Outcome::Failed(reason, text) => {
+                    end(&mut tx, job, Trigger::Fail, reason, text.clone()).await?
+                }
+                Outcome::Cancelled if !job.cancel_requested => {
+                    let remedy = "nobody asked to cancel it: complete it in another way";
+                    return Err(Error::Illegal { job: job.name(), state: job.state, remedy });
+                }
+                Outcome::Cancelled => {
+                    let text = "cancelled on request".into();
+                    end(&mut tx, job, Trigger::Cancel, "CANCELLED", text).await?
+                }
+                Outcome::AttemptFailed(text) => {
+                    lose(&mut tx, job, Loss::AttemptFailed, text, max_lost).await?
+                }
+                Outcome::Released(text) => {
+                    let loss = if job.preempt { Loss::Preempted } else { Loss::Released };
+                    lose(&mut tx, job, loss, text, max_lost).await?
+                }
+            };
+            pass(Point::CompleteWritten);
+            Ok(job)
+        })
     }
 
     /// Takes away every lease that ran out; the jobs concerned, as they are then.
@@ -155,25 +168,25 @@ impl Store {
         if sqlx::query_scalar::<_, i64>(query).bind(now).fetch_one(&self.readers).await? == 0 {
             return Ok(Vec::new());
         }
-        let mut tx = self.begin().await?;
-        // Another server may be about the same: what it has locked is its own.
-        let query = "SELECT * FROM jobs WHERE state = 'RUNNING' AND lease_until_ms < $1 ORDER BY n \
-                     /*pg FOR UPDATE SKIP LOCKED */";
-        let rows = sqlx::query(sql(&tx, query)).bind(now).fetch_all(&mut *tx).await?;
-        let mut jobs = Vec::with_capacity(rows.len());
-        for row in &rows {
-            jobs.push(lose(&mut tx, job_of(row)?, Loss::LeaseExpired, "", max_lost).await?);
-        }
-        tx.commit().await?;
-        Ok(jobs)
+        transaction!(self, tx, {
+            // Another server may be about the same: what it has locked is its own.
+            let query = "SELECT * FROM jobs WHERE state = 'RUNNING' AND lease_until_ms < $1 ORDER BY n \
+                         /*pg FOR UPDATE SKIP LOCKED */";
+            let rows = sqlx::query(sql(&tx, query)).bind(now).fetch_all(&mut *tx).await?;
+            let mut jobs = Vec::with_capacity(rows.len());
+            for row in &rows {
+                jobs.push(lose(&mut tx, job_of(row)?, Loss::LeaseExpired, "", max_lost).await?);
+            }
+            Ok(jobs)
+        })
     }
 
     /// Takes away whatever `worker` holds; the jobs concerned, as they are then.
     pub async fn lose_worker(&self, worker: &str, loss: Loss, max_lost: u32) -> Result<Vec<Job>> {
-        let mut tx = self.begin().await?;
-        let jobs = lose_all_of(&mut tx, worker, loss, max_lost).await?;
-        tx.commit().await?;
-        Ok(jobs)
+        transaction!(self, tx, {
+            let jobs = lose_all_of(&mut tx, worker, loss, max_lost).await?;
+            Ok(jobs)
+        })
     }
 
     /// The workers that hold a lease.
@@ -184,12 +197,13 @@ impl Store {
 
     /// Extends what `worker` holds, as if it had been heard of: for the time nobody could hear it.
     pub async fn renew(&self, worker: &str, terms: &Terms) -> Result<()> {
-        let mut tx = self.begin().await?;
-        let until = now_ms(&mut tx).await? + terms.lease.as_millis() as i64;
-        let update = "UPDATE jobs SET lease_until_ms = $1 WHERE state = 'RUNNING' AND worker = $2";
-        sqlx::query(update).bind(until).bind(worker).execute(&mut *tx).await?;
-        tx.commit().await?;
-        Ok(())
+        transaction!(self, tx, {
+            let until = now_ms(&mut tx).await? + terms.lease.as_millis() as i64;
+            let update =
+                "UPDATE jobs SET lease_until_ms = $1 WHERE state = 'RUNNING' AND worker = $2";
+            sqlx::query(update).bind(until).bind(worker).execute(&mut *tx).await?;
+            Ok(())
+        })
     }
 }
 
@@ -232,20 +246,24 @@ async fn repeated(
     query.fetch_optional(conn).await?.as_ref().map(job_of).transpose()
 }
 
-async fn start(tx: &mut Tx, mut job: Job, worker: &str, terms: &Terms) -> Result<Job> {
+async fn start(tx: &mut Tx, mut job: Job, who: &Claimant, terms: &Terms) -> Result<Job> {
     let now = now_ms(tx).await?;
     job.state = after(&job, Trigger::Claim)?;
     job.epoch += 1;
     job.attempt += 1;
     job.appended = 0;
-    job.worker = worker.into();
+    job.preempt = false;
+    job.worker.clone_from(&who.worker);
     job.started_ms = Some(now);
     let update = "UPDATE jobs SET state = $1, epoch = $2, attempt = $3, worker = $4, appended = 0, \
-                  lease_until_ms = $5, started_ms = $6, stage = '', fraction = 0 WHERE id = $7";
+                  lease_until_ms = $5, started_ms = $6, preempt = 0, stage = '', fraction = 0 WHERE id = $7";
     let update = sqlx::query(update).bind(job.state.name()).bind(job.epoch as i64);
-    let update =
-        update.bind(i64::from(job.attempt)).bind(worker).bind(now + terms.lease.as_millis() as i64);
+    let update = update
+        .bind(i64::from(job.attempt))
+        .bind(&job.worker)
+        .bind(now + terms.lease.as_millis() as i64);
     update.bind(now).bind(&job.id).execute(&mut **tx).await?;
+    attempts::begin(tx, &job, &who.host, now).await?;
     let text = format!("attempt {} begins", job.attempt);
     let entry = state_entry(&job, "CLAIMED", text);
     log(tx, &mut job, now, &[entry]).await?;
@@ -284,7 +302,9 @@ async fn end(
     }
     if trigger == Trigger::Succeed {
         job.fraction = 1.0;
+        fleet::is_sound(tx, &job, now).await?;
     }
+    attempts::finish(tx, &job, Finish { reason, detail: &text, counts: false, now }).await?;
     let update = "UPDATE jobs SET state = $1, ended_ms = $2, failure_reason = $3, failure_text = $4, \
                   fraction = $5 WHERE id = $6";
     let update = sqlx::query(update).bind(job.state.name()).bind(now).bind(&job.failure.0);
@@ -310,11 +330,13 @@ async fn lose_all_of(tx: &mut Tx, worker: &str, loss: Loss, max_lost: u32) -> Re
 
 /// Takes a lease away: the job starts over, or ends when it lost too many attempts or is unwanted.
 async fn lose(tx: &mut Tx, mut job: Job, loss: Loss, detail: &str, max_lost: u32) -> Result<Job> {
-    job.lost += u32::from(loss.counts());
-    let update = sqlx::query("UPDATE jobs SET lost = $1 WHERE id = $2");
-    update.bind(i64::from(job.lost)).bind(&job.id).execute(&mut **tx).await?;
     let why = [loss.text(), detail].into_iter().filter(|s| !s.is_empty()).collect::<Vec<_>>();
     let why = why.join(": ");
+    let (reason, counts, now) = (loss.reason(), loss.counts(), now_ms(tx).await?);
+    attempts::finish(tx, &job, Finish { reason, detail: &why, counts, now }).await?;
+    job.lost = attempts::blame(tx, &job.id).await?;
+    let update = sqlx::query("UPDATE jobs SET lost = $1 WHERE id = $2");
+    update.bind(i64::from(job.lost)).bind(&job.id).execute(&mut **tx).await?;
     match verdict(job.lost, max_lost, job.cancel_requested) {
         Trigger::Requeue => requeue(tx, job, loss, &why).await,
         Trigger::Cancel => {
@@ -323,7 +345,7 @@ async fn lose(tx: &mut Tx, mut job: Job, loss: Loss, detail: &str, max_lost: u32
         }
         trigger => {
             let text = format!(
-                "{} attempts were lost, the last because {why}; see the log, then submit it again \
+                "{} workers lost it, the last because {why}; see the log, then submit it again \
                  with other settings or a repaired mesh",
                 job.lost
             );
@@ -350,8 +372,9 @@ async fn requeue(tx: &mut Tx, mut job: Job, loss: Loss, why: &str) -> Result<Job
         vec![(Body::Server(restarted), None), state_entry(&job, loss.reason(), text)]
     };
     job.worker = String::new();
-    let update = "UPDATE jobs SET state = $1, worker = '', stage = '', fraction = 0 WHERE id = $2";
-    let update = sqlx::query(update).bind(job.state.name()).bind(&job.id);
+    let update = "UPDATE jobs SET state = $1, worker = '', stage = '', fraction = 0, queued_ms = $2 \
+                  WHERE id = $3";
+    let update = sqlx::query(update).bind(job.state.name()).bind(now).bind(&job.id);
     update.execute(&mut **tx).await?;
     log(tx, &mut job, now, &entries).await?;
     Ok(job)

@@ -121,6 +121,7 @@ async fn new_job(jobs: &Jobs, request_id: &str) -> NewJob {
         mesh,
         file_name,
         spec: Spec::new(vec![5]),
+        priority: 0,
         webhook: String::new(),
     }
 }
@@ -215,7 +216,7 @@ async fn lost_attempts_are_told_and_poison_in_the_end(home: Home) {
     let jobs = Jobs::open(home.places(), terms, Limits::default()).await.unwrap();
     let job = create(&jobs).await;
     for attempt in 1..=3 {
-        let (claimed, lease) = claim(&jobs, "w").await.unwrap();
+        let (claimed, lease) = claim(&jobs, &format!("w{attempt}")).await.unwrap();
         assert_eq!((claimed.attempt, claimed.epoch), (attempt, u64::from(attempt)));
         jobs.append(&lease, 0, vec![note("work")]).await.unwrap();
         tokio::time::sleep(Duration::from_millis(5)).await;
@@ -234,6 +235,10 @@ async fn lost_attempts_are_told_and_poison_in_the_end(home: Home) {
         })
         .collect();
     assert_eq!(restarts, [(1, "LEASE_EXPIRED"); 2]);
+    let history = jobs.attempts(&job.id).await.unwrap().into_iter();
+    let history: Vec<_> = history.map(|a| (a.attempt, a.worker, a.reason, a.counts)).collect();
+    let lost = |n: u32| (n, format!("w{n}"), "LEASE_EXPIRED".to_owned(), true);
+    assert_eq!(history, [lost(3), lost(2), lost(1)]);
 }
 
 async fn handing_back_and_server_restarts_do_not_poison(home: Home) {
@@ -271,14 +276,14 @@ async fn workers_that_outlive_the_server_keep_their_jobs(home: Home) {
     jobs.close().await;
     drop(jobs);
     let jobs = home.open().await;
-    assert!(!jobs.heartbeat(&lease).await.unwrap());
-    assert!(!jobs.heartbeat(&remote).await.unwrap());
+    assert!(!jobs.heartbeat(&lease).await.unwrap().cancel);
+    assert!(!jobs.heartbeat(&remote).await.unwrap().cancel);
     // The process that held the lock ends; that of the other worker cannot be seen from here.
     assert_eq!(jobs.sweep_leases().await.unwrap(), []);
     drop(alive);
     assert_eq!(jobs.sweep_leases().await.unwrap().len(), 1);
     assert!(jobs.heartbeat(&lease).await.is_err());
-    assert!(!jobs.heartbeat(&remote).await.unwrap());
+    assert!(!jobs.heartbeat(&remote).await.unwrap().cancel);
 }
 
 async fn a_worker_that_asks_again_has_dropped_its_job(home: Home) {
@@ -304,8 +309,8 @@ async fn cancelled_jobs_keep_what_was_stored(home: Home) {
     assert!(matches!(unasked, Err(Error::Illegal { .. })));
     put(&jobs, &lease, "lod-0.glb", b"whole").await.unwrap();
     assert!(jobs.cancel(&id).await.unwrap().0.cancel_requested);
-    assert!(jobs.append(&lease, 0, vec![note("x")]).await.unwrap().cancel_requested);
-    assert!(jobs.heartbeat(&lease).await.unwrap());
+    assert!(jobs.append(&lease, 0, vec![note("x")]).await.unwrap().orders.cancel);
+    assert!(jobs.heartbeat(&lease).await.unwrap().cancel);
     jobs.complete(&lease, &Outcome::Cancelled).await.unwrap();
     assert_eq!(jobs.artifacts(&id).await.unwrap().len(), 1);
     jobs.delete(&id).await.unwrap();
@@ -326,6 +331,7 @@ async fn requests_are_idempotent_and_checked_as_a_whole(home: Home) {
         mesh: "0".repeat(64),
         file_name: "a/b".into(),
         spec: Spec::new(vec![]),
+        priority: 0,
         webhook: String::new(),
     };
     let Err(Error::Invalid(faults)) = jobs.create(bad, vec![]).await else { panic!("accepted") };

@@ -1,20 +1,29 @@
 //! Random walks against a model, and pages of lists that grow; on every store.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use proptest::prelude::*;
 use tokio::runtime::Runtime;
 
 use super::*;
+use crate::jobs::lease::blame;
 
 /// What the model knows of a job.
 #[derive(Clone, Debug, PartialEq)]
 struct Model {
     state: State,
     epoch: u64,
-    lost: u32,
+    /// The workers that have lost it, each as often as it has.
+    losers: Vec<usize>,
     cancel: bool,
     n_sent: u64,
+}
+
+impl Model {
+    fn lost(&self) -> u32 {
+        let distinct: BTreeSet<_> = self.losers.iter().collect();
+        blame(distinct.len() as u32, self.losers.len() as u32)
+    }
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -27,6 +36,7 @@ enum Step {
     Release(usize),
     Cancel(usize),
     Delete(usize),
+    Retry(usize),
 }
 
 fn step() -> impl Strategy<Value = Step> {
@@ -40,6 +50,7 @@ fn step() -> impl Strategy<Value = Step> {
         with(Step::Release),
         with(Step::Cancel),
         with(Step::Delete),
+        with(Step::Retry),
     ]
 }
 
@@ -48,6 +59,8 @@ struct Walk {
     jobs: Jobs,
     new: NewJob,
     model: BTreeMap<String, Model>,
+    /// Those that have asked for a job.
+    hosts: BTreeSet<usize>,
     leases: BTreeMap<usize, Lease>,
 }
 
@@ -57,12 +70,13 @@ impl Walk {
             Step::Create => {
                 let id = self.jobs.create(self.new.clone(), vec![]).await.unwrap().id;
                 let state = State::Queued;
-                self.model.insert(id, Model { state, epoch: 0, lost: 0, cancel: false, n_sent: 0 });
+                let losers = Vec::new();
+                self.model.insert(id, Model { state, epoch: 0, losers, cancel: false, n_sent: 0 });
             }
             Step::Claim(w) => self.claim(w).await,
             Step::Lose(w) => {
                 self.jobs.worker_gone(&format!("w{w}")).await.unwrap();
-                self.lose(w, 1);
+                self.lose(w, true);
             }
             Step::Append(w) => {
                 let Some(lease) = self.leases.get(&w) else { return };
@@ -88,9 +102,10 @@ impl Walk {
                 let legal = self.model.get(&lease.job).is_some_and(|job| holds(job, &lease));
                 let outcome = Outcome::Released(String::new());
                 assert_eq!(self.jobs.complete(&lease, &outcome).await.is_ok(), legal);
-                self.lose(w, 0);
+                self.lose(w, false);
             }
             Step::Cancel(i) => self.cancel(i).await,
+            Step::Retry(i) => self.retry(i).await,
             Step::Delete(i) => {
                 let Some(id) = self.model.keys().nth(i).cloned() else { return };
                 let legal = self.model[&id].state.is_final();
@@ -103,11 +118,20 @@ impl Walk {
     }
 
     async fn claim(&mut self, w: usize) {
-        self.lose(w, 1);
-        let oldest = self.model.iter_mut().find(|(_, job)| job.state == State::Queued);
+        self.lose(w, true);
+        self.hosts.insert(w);
+        // A job goes to another worker than those that have lost it, as long as there is one.
+        let queued = |job: &Model| job.state == State::Queued;
+        let fits = |job: &Model| queued(job) && !job.losers.contains(&w);
+        let is_left =
+            |job: &Model| queued(job) && self.hosts.iter().all(|h| job.losers.contains(h));
+        let oldest = self.model.iter().find(|(_, job)| fits(job));
+        let oldest = oldest.or_else(|| self.model.iter().find(|(_, job)| is_left(job)));
+        let oldest = oldest.map(|(id, _)| id.clone());
         let claimed = claim(&self.jobs, &format!("w{w}")).await;
-        assert_eq!(claimed.as_ref().map(|(job, _)| &job.id), oldest.as_ref().map(|(id, _)| *id));
-        if let (Some((_, lease)), Some((_, job))) = (claimed, oldest) {
+        assert_eq!(claimed.as_ref().map(|(job, _)| &job.id), oldest.as_ref());
+        let oldest = oldest.and_then(|id| self.model.get_mut(&id));
+        if let (Some((_, lease)), Some(job)) = (claimed, oldest) {
             job.state = State::Running;
             job.epoch += 1;
             job.n_sent = 0;
@@ -115,14 +139,14 @@ impl Walk {
         }
     }
 
-    /// Whatever worker `w` holds is lost, and counts `blame` against the job.
-    fn lose(&mut self, w: usize, blame: u32) {
+    /// Whatever worker `w` holds is lost, which may speak against the job.
+    fn lose(&mut self, w: usize, counts: bool) {
         let Some(lease) = self.leases.remove(&w) else { return };
         let Some(job) = self.model.get_mut(&lease.job).filter(|job| holds(job, &lease)) else {
             return;
         };
-        job.lost += blame;
-        job.state = match (job.cancel, job.lost) {
+        job.losers.extend(counts.then_some(w));
+        job.state = match (job.cancel, job.lost()) {
             (true, _) => State::Cancelled,
             (false, 3..) => State::Failed,
             (false, _) => State::Queued,
@@ -139,15 +163,29 @@ impl Walk {
         }
     }
 
+    async fn retry(&mut self, i: usize) {
+        let Some((id, job)) = self.model.iter_mut().nth(i) else { return };
+        let legal = match job.state {
+            State::Succeeded => false,
+            State::Running => !job.cancel,
+            _ => true,
+        };
+        assert_eq!(self.jobs.retry(id).await.is_ok(), legal);
+        if legal && matches!(job.state, State::Failed | State::Cancelled) {
+            (job.state, job.cancel) = (State::Queued, false);
+            job.losers.clear();
+        }
+    }
+
     async fn check(&self) {
         let listed = self.jobs.list(None, &[], None, 1000).await.unwrap();
         assert_eq!(listed.len(), self.model.len());
         for job in listed {
             let appended = job.appended;
-            let (state, epoch, lost) = (job.state, job.epoch, job.lost);
-            let cancel = job.cancel_requested;
-            let found = Model { state, epoch, lost, cancel, n_sent: appended };
-            assert_eq!(&found, &self.model[&job.id]);
+            let model = &self.model[&job.id];
+            let found = (job.state, job.epoch, job.lost, job.cancel_requested, appended);
+            let wanted = (model.state, model.epoch, model.lost(), model.cancel, model.n_sent);
+            assert_eq!(found, wanted);
         }
     }
 }
@@ -157,10 +195,13 @@ fn holds(job: &Model, lease: &Lease) -> bool {
 }
 
 async fn follow_the_model(home: Home, steps: &[Step]) {
-    let jobs = home.open().await;
+    // Workers that lose many jobs are another story.
+    let (lease, max_in_a_row) = (Duration::from_hours(1), u32::MAX);
+    let terms = Terms { lease, max_in_a_row, ..Terms::default() };
+    let jobs = Jobs::open(home.places(), terms, Limits::default()).await.unwrap();
     let new = new_job(&jobs, "").await;
     let (model, leases) = (BTreeMap::new(), BTreeMap::new());
-    let mut walk = Walk { jobs, new, model, leases };
+    let mut walk = Walk { jobs, new, model, hosts: BTreeSet::new(), leases };
     for &step in steps {
         walk.take(step).await;
         walk.check().await;

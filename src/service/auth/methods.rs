@@ -38,6 +38,7 @@ pub(super) struct Method {
 const READ: Need = Need::May(Act::Read);
 const WRITE: Need = Need::May(Act::Write);
 const WORK: Need = Need::May(Act::Work);
+const MANAGE: Need = Need::May(Act::Manage);
 
 const fn row(path: &'static str, need: Need, audit: Audit, is_stream: bool) -> Method {
     Method { path, need, audit, is_stream }
@@ -51,10 +52,14 @@ const METHODS: &[Method] = &[
     row("/lookalike.v1.LookalikeService/ListJobs",          READ,  Audit::No,    false),
     row("/lookalike.v1.LookalikeService/WatchJob",          READ,  Audit::No,    true),
     row("/lookalike.v1.LookalikeService/CancelJob",         WRITE, Audit::Yes,   false),
+    row("/lookalike.v1.LookalikeService/RetryJob",          WRITE, Audit::Yes,   false),
     row("/lookalike.v1.LookalikeService/PinJob",            WRITE, Audit::Yes,   false),
     row("/lookalike.v1.LookalikeService/DeleteJob",         WRITE, Audit::Yes,   false),
     row("/lookalike.v1.LookalikeService/ListArtifacts",     READ,  Audit::No,    false),
     row("/lookalike.v1.LookalikeService/ReadArtifact",      READ,  Audit::No,    true),
+    row("/lookalike.v1.LookalikeService/ListWorkers",       MANAGE, Audit::No,   false),
+    row("/lookalike.v1.LookalikeService/DrainWorker",       MANAGE, Audit::Yes,  false),
+    row("/lookalike.v1.LookalikeService/ReinstateWorker",   MANAGE, Audit::Yes,  false),
     row("/lookalike.worker.v1.WorkerService/Claim",         WORK,  Audit::No,    false),
     row("/lookalike.worker.v1.WorkerService/Heartbeat",     WORK,  Audit::No,    false),
     row("/lookalike.worker.v1.WorkerService/FetchMesh",     WORK,  Audit::No,    false),
@@ -63,6 +68,7 @@ const METHODS: &[Method] = &[
     row("/lookalike.worker.v1.WorkerService/PutCheckpoint",   WORK, Audit::No,  false),
     row("/lookalike.worker.v1.WorkerService/FetchCheckpoint", WORK, Audit::No,  false),
     row("/lookalike.worker.v1.WorkerService/Complete",      WORK,  Audit::Yes,   false),
+    row("/lookalike.worker.v1.WorkerService/Leave",         WORK,  Audit::No,    false),
     row("/grpc.health.v1.Health/Check",                     Need::Nothing, Audit::No, false),
     row("/grpc.health.v1.Health/Watch",                     Need::Nothing, Audit::No, false),
 ];
@@ -95,7 +101,7 @@ mod tests {
                 paths.extend(service.method.iter().map(path));
             }
         }
-        assert_eq!(paths.len(), 18, "{paths:?}");
+        assert_eq!(paths.len(), 23, "{paths:?}");
         for path in paths {
             assert!(matches!(method(&path).need, Need::May(_)), "{path} has no row");
         }

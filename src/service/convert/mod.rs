@@ -11,9 +11,10 @@ use super::{
     status,
 };
 use crate::jobs::{
+    blobs::is_safe_name,
     lease::Lease,
     state::State,
-    store::{Artifact, Job, Outcome},
+    store::{Artifact, Attempt, Job, Outcome, Service, Worker},
 };
 
 pub use event::{event_from_wire, event_to_wire, report_from_wire, report_to_wire};
@@ -59,8 +60,58 @@ pub fn job_to_wire(job: &Job) -> v1::Job {
         fraction: job.fraction,
         owner: job.owner.clone(),
         pinned: job.pinned,
+        priority: job.priority,
         results_removed: job.results_removed,
     }
+}
+
+/// An attempt on the wire.
+pub fn attempt_to_wire(attempt: Attempt) -> v1::Attempt {
+    v1::Attempt {
+        attempt: attempt.attempt,
+        epoch: attempt.epoch,
+        worker: attempt.worker,
+        host: format!("workers/{}", attempt.host),
+        start_time: Some(time_to_wire(attempt.started_ms)),
+        end_time: attempt.ended_ms.map(time_to_wire),
+        reason: attempt.reason,
+        text: attempt.detail,
+        counts: attempt.counts,
+    }
+}
+
+/// A host on the wire.
+pub fn worker_to_wire(worker: Worker) -> v1::Worker {
+    let service = worker.service();
+    let state = match service {
+        Service::In => v1::WorkerState::InService,
+        Service::Quarantined => v1::WorkerState::Quarantined,
+        Service::Drained => v1::WorkerState::Drained,
+    };
+    v1::Worker {
+        name: format!("workers/{}", worker.host),
+        incarnation: worker.worker,
+        version: worker.version,
+        seen_time: Some(time_to_wire(worker.seen_ms)),
+        state: state.into(),
+        reason: worker.why,
+        until_time: worker
+            .quarantined_until_ms
+            .filter(|_| service == Service::Quarantined)
+            .map(time_to_wire),
+    }
+}
+
+/// The host in `workers/{host}`.
+pub fn worker_host(field: &str, name: &str) -> Result<String, Status> {
+    let host = name.strip_prefix("workers/").filter(|host| is_host(host));
+    let text = || format!("`{}` is no worker: use `workers/{{host}}`", name.escape_default());
+    host.map(Into::into).ok_or_else(|| status::invalid(field, text()))
+}
+
+/// Whether a text can name a host or an incarnation.
+pub fn is_host(name: &str) -> bool {
+    is_safe_name(name) && name.len() <= 64
 }
 
 /// An artifact on the wire.

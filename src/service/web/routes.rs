@@ -50,11 +50,15 @@ const ROUTES: &[Route] = &[
     row(Method::GET,    ("jobs/*",             ""),           "name",   "GetJob",        Answer::Message),
     row(Method::DELETE, ("jobs/*",             ""),           "name",   "DeleteJob",     Answer::Message),
     row(Method::POST,   ("jobs/*",             ":pin"),       "name",   "PinJob",        Answer::Message),
+    row(Method::POST,   ("jobs/*",             ":retry"),     "name",   "RetryJob",      Answer::Message),
     row(Method::POST,   ("jobs/*",             ":cancel"),    "name",   "CancelJob",     Answer::Message),
     row(Method::GET,    ("jobs/*",             "/events"),    "name",   "WatchJob",      Answer::Events),
     row(Method::GET,    ("jobs/*",             "/artifacts"), "parent", "ListArtifacts", Answer::Message),
     row(Method::GET,    ("jobs/*/artifacts/*", ""),           "name",   "ReadArtifact",  Answer::File),
     row(Method::POST,   ("",                   "meshes"),     "",       "UploadMesh",    Answer::Upload),
+    row(Method::GET,    ("",                   "workers"),    "",       "ListWorkers",   Answer::Message),
+    row(Method::POST,   ("workers/*",          ":drain"),    "name",   "DrainWorker",   Answer::Message),
+    row(Method::POST,   ("workers/*",          ":reinstate"), "name",   "ReinstateWorker", Answer::Message),
 ];
 
 /// A route, and what its path names.
@@ -115,6 +119,7 @@ mod tests {
             ("GET", "/api/v1/jobs/0a", Ok(("GetJob", "jobs/0a"))),
             ("DELETE", "/api/v1/jobs/0a", Ok(("DeleteJob", "jobs/0a"))),
             ("POST", "/api/v1/jobs/0a:cancel", Ok(("CancelJob", "jobs/0a"))),
+            ("POST", "/api/v1/jobs/0a:retry", Ok(("RetryJob", "jobs/0a"))),
             ("POST", "/api/v1/jobs/0a:pin", Ok(("PinJob", "jobs/0a"))),
             ("GET", "/api/v1/jobs/0a/events", Ok(("WatchJob", "jobs/0a"))),
             ("GET", "/api/v1/jobs/0a/artifacts", Ok(("ListArtifacts", "jobs/0a"))),
@@ -124,6 +129,9 @@ mod tests {
                 Ok(("ReadArtifact", "jobs/0a/artifacts/a-0.glb")),
             ),
             ("POST", "/api/v1/meshes", Ok(("UploadMesh", ""))),
+            ("GET", "/api/v1/workers", Ok(("ListWorkers", ""))),
+            ("POST", "/api/v1/workers/a-0:drain", Ok(("DrainWorker", "workers/a-0"))),
+            ("POST", "/api/v1/workers/a-0:reinstate", Ok(("ReinstateWorker", "workers/a-0"))),
             ("GET", "/api/v1/", Err(404)),
             ("GET", "/api/v1/jobs/", Err(404)),
             ("GET", "/api/v1/jobs/0a/", Err(404)),

@@ -162,8 +162,8 @@ async fn slow_readers_hold_little_and_nobody_up() {
     let access = Access { token: Some(Secret::new(&two.worker_token)), ..Access::default() };
     let mut worker = WorkerServiceClient::new(connection(&two.server.url, &access).unwrap());
     let version = env!("CARGO_PKG_VERSION").into();
-    let (worker_id, wait_secs) = ("w".into(), 10.0);
-    let claim = wire::ClaimRequest { worker: worker_id, version, wait_secs, ..Default::default() };
+    let claim =
+        wire::ClaimRequest { worker: "w".into(), version, wait_secs: 10.0, ..Default::default() };
     let lease = worker.claim(claim).await.unwrap().into_inner().assignment.unwrap().lease;
     let before = two.memory_mib();
     let mut open = Vec::new();

@@ -28,7 +28,8 @@ impl Fleet {
     /// Starts servers and workers; `None`, and a line that says so, when PostgreSQL is missing.
     pub(crate) fn start(pair: Pair) -> Option<Self> {
         let lease = format!("--lease-secs={LEASE_SECS}");
-        let flags = [&lease, "--heartbeat-secs=0.5", "--max-attempts=1000000"];
+        let flags =
+            [&lease, "--heartbeat-secs=0.5", "--max-attempts=1000000", "--checkpoint-secs=0.2"];
         let with = |n_workers: &'static str| [&flags[..], &[n_workers]].concat();
         let (farm, servers) = match pair {
             Pair::Local => (None, vec![Server::start_with(&with("--workers=1"))]),

@@ -206,6 +206,11 @@ class Client:
             answer = self.job(job)
         return answer
 
+    def retry(self, job: str) -> job_pb2.Job:
+        """Queues a job anew that failed or was cancelled; one that waits or runs is left alone."""
+        request = api.RetryJobRequest(name=_job_name(job))
+        return self._call(lambda: self._stub.RetryJob(request)).job
+
     def delete(self, job: str, *, missing_ok: bool = False) -> None:
         """Deletes a job that has ended, with its log and files."""
         request = api.DeleteJobRequest(name=_job_name(job), allow_missing=missing_ok)
