@@ -15,11 +15,13 @@ use lookalike::{
         convert,
         proto::v1::{self, lookalike_service_client::LookalikeServiceClient},
         server::MAX_MESSAGE_BYTES,
+        status::{OFFSET, reason_of},
     },
 };
 use prost::bytes::Bytes;
 use tokio::{io::AsyncWriteExt, time::Instant};
 use tonic::{Response, Status};
+use uuid::Uuid;
 
 use super::exit::{Exit, Failure, refused, unreachable};
 
@@ -108,13 +110,17 @@ impl Remote {
 
     /// Stores a mesh; its name.
     pub(crate) async fn upload(&self, bytes: Bytes) -> Result<String, Failure> {
-        let header = v1::UploadMeshHeader {
-            size: bytes.len() as u64,
-            blake3: blake3::hash(&bytes).to_hex().to_string(),
-        };
+        let blake3 = blake3::hash(&bytes).to_hex().to_string();
+        let (size, upload_id) = (bytes.len() as u64, Uuid::new_v4().simple().to_string());
+        let header = v1::UploadMeshHeader { size, blake3, upload_id, offset: 0 };
         let answer = self.call(|mut client| {
-            let (header, bytes) = (header.clone(), bytes.clone());
-            async move { client.upload_mesh(stream::iter(upload_parts(header, bytes))).await }
+            let (mut header, bytes) = (header.clone(), bytes.clone());
+            async move {
+                header.offset = held(&mut client, &header).await?;
+                let rest = bytes.slice(header.offset as usize..);
+                let parts = upload_parts(header, rest);
+                client.upload_mesh(stream::iter(parts)).await.map_err(asked_again)
+            }
         });
         Ok(answer.await?.mesh)
     }
@@ -285,6 +291,25 @@ impl<'a> Patience<'a> {
 /// `jobs/{id}`, also from the bare id.
 pub(crate) fn job_name(text: &str) -> String {
     if text.starts_with("jobs/") { text.into() } else { format!("jobs/{text}") }
+}
+
+/// What the server holds of an upload; what is small is sent as a whole.
+async fn held(client: &mut Client, header: &v1::UploadMeshHeader) -> Result<u64, Status> {
+    if header.size <= CHUNK as u64 {
+        return Ok(0);
+    }
+    let (mesh, upload_id) = (convert::mesh_name(&header.blake3), header.upload_id.clone());
+    let answer = client.query_upload(v1::QueryUploadRequest { mesh, upload_id }).await?;
+    // Where all of it is there, the header is enough.
+    Ok(answer.into_inner().held.min(header.size))
+}
+
+/// Another server, or somebody else's upload, holds less than was said: that passes.
+fn asked_again(status: Status) -> Status {
+    match reason_of(&status).as_deref() {
+        Some(OFFSET) => Status::unavailable(status.message()),
+        _ => status,
+    }
 }
 
 fn upload_parts(

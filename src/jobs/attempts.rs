@@ -108,7 +108,11 @@ impl Jobs {
         self.0.store.check(lease).await?;
         let limit = self.0.limits.max_artifact_bytes;
         let staged = self.0.blobs.stage(chunks, limit).await?;
-        let announced = Announced { size: artifact.size, hash: artifact.blake3.clone() };
+        let announced = Announced {
+            size: artifact.size,
+            hash: artifact.blake3.clone(),
+            ..Announced::default()
+        };
         announced.check(&artifact.file, staged.size, &staged.hash)?;
         let stored = Artifact { size: staged.size, blake3: staged.hash.clone(), ..artifact };
         pass(Point::ArtifactStaged);

@@ -5,7 +5,7 @@ use tokio_util::bytes::Bytes;
 
 use super::{
     Jobs,
-    blobs::{Blob, is_hash, is_safe_name},
+    blobs::{Blob, Upload, is_hash, is_safe_name},
     error::{Error, Result},
     points::{Point, pass},
     spec::Fault,
@@ -31,9 +31,32 @@ pub struct Announced {
     pub size: u64,
     /// BLAKE3; empty when unknown.
     pub hash: String,
+    /// The name of an upload that may be gone on with; empty for none.
+    pub upload: String,
+    /// Bytes that were sent before it broke off.
+    pub offset: u64,
 }
 
 impl Announced {
+    /// The upload by `owner` that may be gone on with, if it is one.
+    fn upload_of(&self, owner: &str) -> Result<Option<Upload>> {
+        let Self { size, hash, upload, offset } = self;
+        let (size, offset) = (*size, *offset);
+        if upload.is_empty() {
+            // What has no name cannot be gone on with.
+            return if offset == 0 { Ok(None) } else { Err(Error::Offset { offset, held: 0 }) };
+        }
+        if !is_safe_name(upload) || upload.len() > 64 {
+            let text = "use 1 to 64 characters of [A-Za-z0-9._-], the first of which is no dot";
+            return Err(Error::invalid("header.upload_id", text));
+        }
+        if size == 0 || !is_hash(hash) {
+            let text = "an upload that may be gone on with needs its size and hash";
+            return Err(Error::invalid("header", text));
+        }
+        Ok(Some(Upload { owner: owner.into(), id: upload.clone(), size, offset }))
+    }
+
     /// Whether what came is what was announced.
     pub(super) fn check(&self, what: &str, size: u64, hash: &str) -> Result<()> {
         let fault = if self.size != 0 && self.size != size {
@@ -77,7 +100,10 @@ impl Jobs {
         chunks: mpsc::Receiver<Bytes>,
     ) -> Result<StoredMesh> {
         let limit = self.0.limits.max_mesh_bytes;
-        let staged = self.0.blobs.stage(chunks, limit).await?;
+        let staged = match announced.upload_of(owner)? {
+            Some(upload) => self.0.blobs.go_on(upload, chunks, limit).await?,
+            None => self.0.blobs.stage(chunks, limit).await?,
+        };
         announced.check("the mesh", staged.size, &staged.hash)?;
         let (hash, size) = (staged.hash.clone(), staged.size);
         pass(Point::UploadStaged);
@@ -96,6 +122,11 @@ impl Jobs {
         let existed = !self.0.store.own_mesh(owner, &hash, size, limit).await?;
         pass(Point::UploadOwned);
         Ok(StoredMesh { hash, size, existed })
+    }
+
+    /// How many of the first bytes of an upload of `owner` are held by this server.
+    pub fn held_of_upload(&self, owner: &str, upload: &str) -> u64 {
+        if is_safe_name(upload) { self.0.blobs.held(owner, upload) } else { 0 }
     }
 
     /// Creates a job, unless the same request made it before. `faults` are those that the caller

@@ -60,6 +60,16 @@ pub enum Error {
         /// Events held.
         held: u64,
     },
+    /// An upload begins beyond what is held of it.
+    #[error(
+        "the bytes from {offset} on do not follow the {held} that are held: send them from {held}"
+    )]
+    Offset {
+        /// Where it begins.
+        offset: u64,
+        /// Bytes held.
+        held: u64,
+    },
     /// What arrived is not what was announced.
     #[error("{what}: {fault}; send it again")]
     Corrupt {

@@ -50,6 +50,11 @@ impl Desk<'_> {
         self.jobs.put_mesh(&self.who.owner, announced, chunks).await
     }
 
+    /// How many of the first bytes of an upload are held by this server.
+    pub fn held_of_upload(&self, upload: &str) -> u64 {
+        self.jobs.held_of_upload(&self.who.owner, upload)
+    }
+
     /// Creates a job; `faults` are those that the caller found already.
     pub async fn create(&self, new: NewJob, mut faults: Vec<Fault>) -> Result<Job> {
         self.check_bytes().await?;

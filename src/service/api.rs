@@ -57,7 +57,8 @@ impl v1::lookalike_service_server::LookalikeService for Api {
         let mesh = if let Some(mesh) = known {
             mesh
         } else {
-            let announced = Announced { size: header.size, hash: header.blake3 };
+            let v1::UploadMeshHeader { size, blake3: hash, upload_id: upload, offset } = header;
+            let announced = Announced { size, hash, upload, offset };
             let put = |chunks| desk.put_mesh(announced, chunks);
             transfer::receive(parts, mesh_chunk, put).await?
         };
@@ -66,6 +67,21 @@ impl v1::lookalike_service_server::LookalikeService for Api {
         let mesh = convert::mesh_name(&hash);
         call.is_about(&mesh);
         Ok(Response::new(v1::UploadMeshResponse { mesh, size, existed }))
+    }
+
+    async fn query_upload(
+        &self,
+        request: Request<v1::QueryUploadRequest>,
+    ) -> Result<Response<v1::QueryUploadResponse>, Status> {
+        let call = call_of(&request)?;
+        let v1::QueryUploadRequest { mesh, upload_id } = request.into_inner();
+        let desk = self.jobs.desk(&call.who);
+        let known = desk.reuse_mesh(&convert::mesh_hash(&mesh)).await.map_err(|e| status_of(&e))?;
+        let (held, is_stored) = match known {
+            Some(mesh) => (mesh.size, true),
+            None => (desk.held_of_upload(&upload_id), false),
+        };
+        Ok(Response::new(v1::QueryUploadResponse { held, is_stored }))
     }
 
     async fn create_job(

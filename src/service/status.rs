@@ -13,6 +13,8 @@ pub const DOMAIN: &str = "lookalike";
 pub const STALE_LEASE: &str = "STALE_LEASE";
 /// The worker's host gets no jobs for now.
 pub const OUT_OF_SERVICE: &str = "OUT_OF_SERVICE";
+/// An upload begins beyond what the server holds of it: ask again how much that is.
+pub const OFFSET: &str = "OFFSET";
 /// The server is about to end: connect again in a moment.
 pub const SHUTTING_DOWN: &str = "SHUTTING_DOWN";
 /// The database or the object store does not answer for now: try again in a moment.
@@ -31,6 +33,7 @@ fn row(error: &Error) -> (Code, &'static str) {
         Error::Stale { .. } => (Code::FailedPrecondition, STALE_LEASE),
         Error::OutOfService { .. } => (Code::FailedPrecondition, OUT_OF_SERVICE),
         Error::Gap { .. } => (Code::OutOfRange, "EVENT_GAP"),
+        Error::Offset { .. } => (Code::OutOfRange, OFFSET),
         Error::Corrupt { .. } => (Code::DataLoss, "CORRUPT"),
         Error::TooLarge { .. } => (Code::ResourceExhausted, "TOO_LARGE"),
         Error::QueueFull(_) => (Code::ResourceExhausted, "QUEUE_FULL"),
@@ -106,7 +109,7 @@ fn metadata_of(error: &Error) -> HashMap<String, String> {
             vec![("job", job.clone()), ("state", state.to_string())]
         }
         Error::Stale { job, epoch, .. } => vec![("job", job.clone()), ("epoch", epoch.to_string())],
-        Error::Gap { held, .. } => vec![("held", held.to_string())],
+        Error::Gap { held, .. } | Error::Offset { held, .. } => vec![("held", held.to_string())],
         _ => Vec::new(),
     };
     pairs.into_iter().map(|(key, value)| (key.into(), value)).collect()

@@ -153,7 +153,8 @@ impl worker::worker_service_server::WorkerService for WorkerApi {
         };
         check_build(&header.build)?;
         let lease = convert::lease_from_wire(header.lease)?;
-        let announced = Announced { size: header.size, hash: header.blake3 };
+        let announced =
+            Announced { size: header.size, hash: header.blake3, ..Announced::default() };
         transfer::receive(parts, piece_chunk, |chunks| {
             self.jobs.put_piece(&lease, (header.piece, &header.build), &announced, chunks)
         })

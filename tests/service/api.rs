@@ -6,7 +6,7 @@ use std::{
     net::TcpStream,
 };
 
-use futures::future::join_all;
+use futures::{StreamExt, future::join_all, stream};
 use lookalike::{
     jobs::{
         event::{Body, Report},
@@ -26,7 +26,9 @@ use tonic_reflection::pb::v1::{
     server_reflection_request::MessageRequest, server_reflection_response::MessageResponse,
 };
 
-use crate::support::{Server, create, create_request, ended, job, log, small_torus, state, upload};
+use crate::support::{
+    Server, create, create_request, ended, eventually, job, log, small_torus, state, upload,
+};
 
 #[tokio::test]
 async fn a_log_reads_the_same_live_later_and_from_anywhere() {
@@ -212,8 +214,10 @@ async fn uploads_are_checked_and_stored_once() {
             .await
             .map(tonic::Response::into_inner)
     };
-    let header =
-        |size, blake3: &str| Part::Header(v1::UploadMeshHeader { size, blake3: blake3.into() });
+    let header = |size, blake3: &str| {
+        let blake3 = blake3.into();
+        Part::Header(v1::UploadMeshHeader { size, blake3, ..Default::default() })
+    };
     let chunk = |bytes: &'static [u8]| Part::Chunk(bytes.into());
     let first = send(vec![header(6, ""), chunk(b"abc"), chunk(b"def")]).await.unwrap();
     let hash = blake3::hash(b"abcdef").to_hex();
@@ -286,4 +290,62 @@ pub(crate) fn http_get(address: &str, path: &str) -> String {
     socket.read_to_string(&mut answer).unwrap();
     assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
     answer
+}
+
+/// Part of an upload: these bytes, from here on.
+fn upload_part(
+    (bytes, offset): (&[u8], usize),
+    end: usize,
+) -> impl Iterator<Item = v1::UploadMeshRequest> + use<> {
+    use v1::upload_mesh_request::Part;
+    let header = v1::UploadMeshHeader {
+        size: bytes.len() as u64,
+        blake3: blake3::hash(bytes).to_hex().to_string(),
+        upload_id: "by-hand".into(),
+        offset: offset as u64,
+    };
+    let chunks = bytes[offset..end].chunks(1 << 16).map(|c| Part::Chunk(c.to_vec().into()));
+    let parts: Vec<_> = std::iter::once(Part::Header(header)).chain(chunks).collect();
+    parts.into_iter().map(|part| v1::UploadMeshRequest { part: Some(part) })
+}
+
+#[tokio::test]
+async fn an_upload_that_breaks_off_is_gone_on_with() {
+    let mut server = Server::start_with(&["--workers=0"]);
+    let client = server.client();
+    let bytes: Vec<u8> = (0..20_u32 << 20).map(|k| (k * 7 % 253) as u8).collect();
+    let mesh = format!("meshes/{}", blake3::hash(&bytes).to_hex());
+    let query = v1::QueryUploadRequest { mesh: mesh.clone(), upload_id: "by-hand".into() };
+    // The connection lasts, and no more comes.
+    let first = stream::iter(upload_part((&bytes, 0), 12 << 20)).chain(stream::pending());
+    let mut sender = client.clone();
+    let upload = async { sender.upload_mesh(first).await.map(drop) };
+    let arrived = eventually("the bytes", || {
+        let (mut client, query) = (client.clone(), query.clone());
+        async move {
+            let held = client.query_upload(query).await.unwrap().into_inner().held;
+            (held == 12 << 20).then_some(())
+        }
+    });
+    tokio::select! {
+        answer = upload => panic!("{answer:?}"),
+        () = arrived => {}
+    }
+    server.kill();
+    server.restart();
+    let answer = eventually("the server", || {
+        let (mut client, query) = (server.client(), query.clone());
+        async move { client.query_upload(query).await.ok() }
+    });
+    let held = answer.await.into_inner();
+    assert_eq!((held.held, held.is_stored), (12 << 20, false));
+    let mut client = server.client();
+    let gap = stream::iter(upload_part((&bytes, 13 << 20), bytes.len()));
+    let refused = client.upload_mesh(gap).await.unwrap_err();
+    assert_eq!(reason_of(&refused).as_deref(), Some("OFFSET"));
+    let rest = stream::iter(upload_part((&bytes, 12 << 20), bytes.len()));
+    let stored = client.upload_mesh(rest).await.unwrap().into_inner();
+    assert_eq!((stored.mesh, stored.size), (mesh, bytes.len() as u64));
+    let held = client.query_upload(query).await.unwrap().into_inner();
+    assert_eq!((held.held, held.is_stored), (bytes.len() as u64, true));
 }

@@ -168,6 +168,13 @@ async fn call(client: &mut Client, method: &str, mesh: &str, job: &str, done: &s
             let parts = parts.map(|part| v1::UploadMeshRequest { part: Some(part) });
             client.upload_mesh(futures::stream::iter(parts)).await.map(drop)
         }
+        "QueryUpload" => {
+            let mesh = mesh.to_owned();
+            client
+                .query_upload(v1::QueryUploadRequest { mesh, upload_id: String::new() })
+                .await
+                .map(drop)
+        }
         "CreateJob" => client.create_job(create_request(mesh, "")).await.map(drop),
         "GetJob" => client.get_job(v1::GetJobRequest { name }).await.map(drop),
         "ListJobs" => client.list_jobs(v1::ListJobsRequest::default()).await.map(drop),
@@ -249,9 +256,10 @@ const I: Code = Code::InvalidArgument;
 const F: Code = Code::FailedPrecondition;
 
 #[rustfmt::skip]
-pub(crate) const PUBLIC: [(&str, [Code; 8]); 14] = [
+pub(crate) const PUBLIC: [(&str, [Code; 8]); 15] = [
     // method          anonymous wrong expired bob viewer ann worker admin
     ("UploadMesh",    [U, U, U, O, P, O, P, O]),
+    ("QueryUpload",   [U, U, U, O, P, O, P, O]),
     ("CreateJob",     [U, U, U, I, P, O, P, I]),
     ("GetJob",        [U, U, U, N, O, O, P, O]),
     ("ListJobs",      [U, U, U, O, O, O, P, O]),

@@ -314,7 +314,7 @@ async fn upload_parts(
     ) -> Result<tonic::Response<v1::UploadMeshResponse>, tonic::Status>,
 ) -> String {
     use v1::upload_mesh_request::Part;
-    let header = v1::UploadMeshHeader { size: bytes.len() as u64, blake3: String::new() };
+    let header = v1::UploadMeshHeader { size: bytes.len() as u64, ..Default::default() };
     let parts = [Part::Header(header), Part::Chunk(bytes.into())];
     let parts = parts.map(|part| v1::UploadMeshRequest { part: Some(part) });
     send(futures::stream::iter(parts)).await.unwrap().into_inner().mesh

@@ -107,6 +107,7 @@ async fn route(web: &Web, method: &str, mesh: &str, job: &str, done: &str) -> Re
             let kind = [("content-type", "application/octet-stream")];
             web.send("POST", &at("meshes"), &kind, "x").await
         }
+        "QueryUpload" => web.get(&at(&format!("{mesh}:upload"))).await,
         "CreateJob" => web.post(&at("jobs"), new_job(mesh)).await,
         "GetJob" => web.get(&at(job)).await,
         "ListJobs" => web.get(&at("jobs")).await,

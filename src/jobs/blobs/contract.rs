@@ -28,7 +28,8 @@ impl Home {
         let staging = Arc::new(Staging::open(&dir.path().join("tmp")).unwrap());
         let name = BucketName::parse(&S3::url()).unwrap();
         let objects = Arc::new(Bucket::open(&name, server.environment()).unwrap());
-        Self { blobs: Blobs { staging, objects }, dir, server: Some(server) }
+        let partials = Arc::new(Partials::open(&dir.path().join("partial")).unwrap());
+        Self { blobs: Blobs { staging, partials, objects }, dir, server: Some(server) }
     }
 
     /// Stages bytes in pieces of a mebibyte.

@@ -120,7 +120,7 @@ fn rename(mut staged: Staged, path: &Path) -> Result<()> {
 }
 
 /// Names and paths of what is in a folder; nothing where it is absent.
-fn entries(folder: &Path) -> Result<Vec<(String, PathBuf)>> {
+pub(super) fn entries(folder: &Path) -> Result<Vec<(String, PathBuf)>> {
     let entries = match fs::read_dir(folder) {
         Err(source) if source.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
         entries => entries.map_err(Error::io(folder))?,

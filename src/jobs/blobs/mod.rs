@@ -12,6 +12,7 @@
 
 mod bucket;
 mod local;
+mod partial;
 mod staging;
 
 #[cfg(test)]
@@ -23,10 +24,11 @@ use futures::{TryStreamExt, future::BoxFuture, stream::BoxStream};
 use tokio::sync::mpsc;
 use tokio_util::bytes::Bytes;
 
-use self::{bucket::Bucket, local::Local, staging::Staging};
+use self::{bucket::Bucket, local::Local, partial::Partials, staging::Staging};
 use super::error::Result;
 
 pub use bucket::BucketName;
+pub use partial::Upload;
 pub use staging::Staged;
 
 /// Longest file name of an artifact.
@@ -91,6 +93,7 @@ impl Blob {
 #[derive(Clone, Debug)]
 pub struct Blobs {
     staging: Arc<Staging>,
+    partials: Arc<Partials>,
     objects: Arc<dyn Objects>,
 }
 
@@ -103,7 +106,8 @@ impl Blobs {
             Some(name) => Arc::new(Bucket::open(name, environment())?),
             None => Arc::new(Local::open(folder, Arc::clone(&staging))?),
         };
-        Ok(Self { staging, objects })
+        let partials = Arc::new(Partials::open(&folder.join("partial"))?);
+        Ok(Self { staging, partials, objects })
     }
 
     /// The name that these objects carry; none when they are new.
@@ -133,6 +137,22 @@ impl Blobs {
     pub async fn stage(&self, chunks: mpsc::Receiver<Bytes>, limit: u64) -> Result<Staged> {
         let staging = Arc::clone(&self.staging);
         tokio::task::spawn_blocking(move || staging.receive(chunks, limit)).await?
+    }
+
+    /// [`Self::stage`] of an upload that may break off and be gone on with.
+    pub async fn go_on(
+        &self,
+        upload: Upload,
+        chunks: mpsc::Receiver<Bytes>,
+        limit: u64,
+    ) -> Result<Staged> {
+        let partials = Arc::clone(&self.partials);
+        tokio::task::spawn_blocking(move || partials.receive(&upload, chunks, limit)).await?
+    }
+
+    /// How many of the first bytes of an upload of `owner` are held here.
+    pub fn held(&self, owner: &str, id: &str) -> u64 {
+        self.partials.held(owner, id)
     }
 
     /// Keeps a mesh under its hash.

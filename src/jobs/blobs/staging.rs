@@ -80,7 +80,8 @@ impl Staging {
     }
 }
 
-struct Writer {
+/// A file that is being written.
+pub(super) struct Writer {
     file: File,
     hasher: blake3::Hasher,
     n_unsynced: u64,
@@ -88,7 +89,26 @@ struct Writer {
 }
 
 impl Writer {
-    fn write(&mut self, bytes: &[u8], limit: u64) -> Result<()> {
+    /// Goes on behind the first `size` bytes of a file, which stays whatever happens before [`Self::finish`].
+    pub(super) fn after(mut file: File, path: &Path, size: u64) -> Result<Self> {
+        let mut hasher = blake3::Hasher::new();
+        hasher.update_reader(&mut file).map_err(Error::io(path))?;
+        let staged = Staged { path: path.into(), hash: String::new(), size, committed: true };
+        Ok(Self { file, hasher, n_unsynced: 0, staged })
+    }
+
+    /// Bytes so far.
+    pub(super) fn size(&self) -> u64 {
+        self.staged.size
+    }
+
+    /// Makes sure that they are on disk.
+    pub(super) fn sync(&self) -> Result<()> {
+        self.file.sync_all().map_err(Error::io(&self.staged.path))
+    }
+
+    /// At most `limit` bytes in all.
+    pub(super) fn write(&mut self, bytes: &[u8], limit: u64) -> Result<()> {
         self.staged.size += bytes.len() as u64;
         if self.staged.size > limit {
             return Err(Error::TooLarge { what: "the transfer".into(), limit });
@@ -103,8 +123,10 @@ impl Writer {
         Ok(())
     }
 
-    fn finish(mut self) -> Result<Staged> {
-        self.file.sync_all().map_err(Error::io(&self.staged.path))?;
+    /// All bytes are there.
+    pub(super) fn finish(mut self) -> Result<Staged> {
+        self.sync()?;
+        self.staged.committed = false;
         self.staged.hash = self.hasher.finalize().to_hex().to_string();
         Ok(self.staged)
     }

@@ -341,7 +341,7 @@ async fn requests_are_idempotent_and_checked_as_a_whole(home: Home) {
 
 async fn damaged_transfers_leave_nothing(home: Home) {
     let jobs = home.open().await;
-    let announced = Announced { size: 7, hash: String::new() };
+    let announced = Announced { size: 7, hash: String::new(), ..Announced::default() };
     let short = jobs.put_mesh(LOCAL, announced, bytes_of(&[b"123456"])).await;
     assert!(matches!(short, Err(Error::Corrupt { .. })));
     assert!(!home.dir.path().join("objects/meshes").exists());

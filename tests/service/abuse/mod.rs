@@ -111,7 +111,7 @@ async fn giant_uploads_are_refused_and_leave_nothing() {
     use v1::upload_mesh_request::Part;
     let mut two = Two::start(&["--max-mesh-mib=1"]);
     for size in [0, 1 << 40] {
-        let header = Part::Header(v1::UploadMeshHeader { size, blake3: String::new() });
+        let header = Part::Header(v1::UploadMeshHeader { size, ..Default::default() });
         let chunks = std::iter::repeat_n(Part::Chunk(vec![7; 256 << 10].into()), 64);
         let parts = std::iter::once(header).chain(chunks);
         let parts = parts.map(|part| v1::UploadMeshRequest { part: Some(part) });

@@ -127,13 +127,25 @@ class Client:
         """Stores a model file; its name, `meshes/{hash}`. What is there is not sent again."""
         source = model if isinstance(model, models.Source) else models.source(model, file_name)
 
-        def parts() -> Iterator[api.UploadMeshRequest]:
-            header = api.UploadMeshHeader(size=source.size, blake3=source.hash)
+        upload_id = uuid.uuid4().hex
+
+        def parts(offset: int) -> Iterator[api.UploadMeshRequest]:
+            header = api.UploadMeshHeader(
+                size=source.size, blake3=source.hash, upload_id=upload_id, offset=offset
+            )
             yield api.UploadMeshRequest(header=header)
-            for chunk in source.chunks():
+            for chunk in source.chunks(offset):
                 yield api.UploadMeshRequest(chunk=chunk)
 
-        return self._call(lambda: self._stub.UploadMesh(parts())).mesh
+        def send() -> api.UploadMeshResponse:
+            offset = 0
+            if source.size > models.CHUNK:
+                # Where it broke off, or all that is there.
+                query = api.QueryUploadRequest(mesh=f"meshes/{source.hash}", upload_id=upload_id)
+                offset = min(self._stub.QueryUpload(query).held, source.size)
+            return self._stub.UploadMesh(parts(offset))
+
+        return self._call(send).mesh
 
     def create(
         self,

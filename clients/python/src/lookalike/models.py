@@ -33,9 +33,10 @@ class Source:
     hash: str
     content: bytes | Path
 
-    def chunks(self) -> Iterator[bytes]:
-        """The bytes from the beginning; may be asked for again."""
+    def chunks(self, offset: int = 0) -> Iterator[bytes]:
+        """The bytes from `offset` on; may be asked for again."""
         with _open(self.content) as file:
+            file.seek(offset)
             while chunk := file.read(CHUNK):
                 yield chunk
 
