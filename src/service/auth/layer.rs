@@ -2,6 +2,7 @@
 
 use std::{
     convert::Infallible,
+    num::NonZeroU32,
     pin::Pin,
     sync::{Arc, OnceLock},
     task::{Context, Poll},
@@ -25,8 +26,9 @@ use crate::{
     service::{accept::Peer, call_name, status::refusal},
 };
 
-/// Entries of refusals a second, lest strangers fill the disk; ten times as many may come at once.
-const REFUSALS_PER_SEC: std::num::NonZeroU32 = std::num::NonZeroU32::new(10).unwrap();
+/// Entries of refusals a second, lest strangers fill the disk, and how many may come at once: those of a minute.
+const REFUSALS_PER_SEC: NonZeroU32 = NonZeroU32::new(10).unwrap();
+const REFUSALS_AT_ONCE: NonZeroU32 = NonZeroU32::new(600).unwrap();
 
 /// Who makes a call, and what it turns out to be about. Handlers find it in the request.
 #[derive(Clone, Debug)]
@@ -54,8 +56,7 @@ pub(in crate::service) struct GateLayer {
 
 impl GateLayer {
     pub fn new(gate: Arc<Gate>, jobs: Jobs) -> Self {
-        let burst = REFUSALS_PER_SEC.saturating_mul(REFUSALS_PER_SEC);
-        let quota = Quota::per_second(REFUSALS_PER_SEC).allow_burst(burst);
+        let quota = Quota::per_second(REFUSALS_PER_SEC).allow_burst(REFUSALS_AT_ONCE);
         Self { gate, jobs, refusals: Arc::new(RateLimiter::direct(quota)) }
     }
 }
