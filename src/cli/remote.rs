@@ -111,7 +111,10 @@ impl Remote {
     /// Stores a mesh; its name.
     pub(crate) async fn upload(&self, bytes: Bytes) -> Result<String, Failure> {
         let blake3 = blake3::hash(&bytes).to_hex().to_string();
-        let (size, upload_id) = (bytes.len() as u64, Uuid::new_v4().simple().to_string());
+        let size = bytes.len() as u64;
+        // What is small is sent as a whole.
+        let upload_id = (size > CHUNK as u64).then(|| Uuid::new_v4().simple().to_string());
+        let upload_id = upload_id.unwrap_or_default();
         let header = v1::UploadMeshHeader { size, blake3, upload_id, offset: 0 };
         let answer = self.call(|mut client| {
             let (mut header, bytes) = (header.clone(), bytes.clone());
@@ -293,9 +296,9 @@ pub(crate) fn job_name(text: &str) -> String {
     if text.starts_with("jobs/") { text.into() } else { format!("jobs/{text}") }
 }
 
-/// What the server holds of an upload; what is small is sent as a whole.
+/// What the server holds of an upload that has a name.
 async fn held(client: &mut Client, header: &v1::UploadMeshHeader) -> Result<u64, Status> {
-    if header.size <= CHUNK as u64 {
+    if header.upload_id.is_empty() {
         return Ok(0);
     }
     let (mesh, upload_id) = (convert::mesh_name(&header.blake3), header.upload_id.clone());

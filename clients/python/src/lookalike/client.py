@@ -127,7 +127,8 @@ class Client:
         """Stores a model file; its name, `meshes/{hash}`. What is there is not sent again."""
         source = model if isinstance(model, models.Source) else models.source(model, file_name)
 
-        upload_id = uuid.uuid4().hex
+        # What is small is sent as a whole.
+        upload_id = uuid.uuid4().hex if source.size > models.CHUNK else ""
 
         def parts(offset: int) -> Iterator[api.UploadMeshRequest]:
             header = api.UploadMeshHeader(
@@ -139,7 +140,7 @@ class Client:
 
         def send() -> api.UploadMeshResponse:
             offset = 0
-            if source.size > models.CHUNK:
+            if upload_id:
                 # Where it broke off, or all that is there.
                 query = api.QueryUploadRequest(mesh=f"meshes/{source.hash}", upload_id=upload_id)
                 offset = min(self._stub.QueryUpload(query).held, source.size)
