@@ -1,5 +1,6 @@
 """The package against a scripted server in this process: what a sound server never does."""
 
+import random
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -53,6 +54,13 @@ class Scripted(LookalikeServiceServicer):
         self.asked_offset: list[int] = []
         self.content = bytes(range(256)) * 40
         self.received: list[bytes] = []
+        #: An upload breaks once when so many bytes are there.
+        self.breaks_at: int | None = None
+        #: What is held of broken uploads, by name, and where uploads began.
+        self.held: dict[str, bytes] = {}
+        self.offsets: list[int] = []
+        #: QueryUpload says that so much more is held.
+        self.boast = 0
         self.goodbye: status_pb2.Status | None = None
         self.lock = threading.Lock()
         #: What calls said of who makes them.
@@ -98,11 +106,24 @@ class Scripted(LookalikeServiceServicer):
     def UploadMesh(self, request_iterator, context):
         self.callers.append(dict(context.invocation_metadata()).get("authorization"))
         header = next(request_iterator).header
-        chunks = [request.chunk for request in request_iterator]
-        self.received = chunks
-        content = b"".join(chunks)
+        self.offsets.append(header.offset)
+        if header.offset > len(self.held.get(header.upload_id, b"")):
+            context.abort(grpc.StatusCode.OUT_OF_RANGE, "so many bytes are not held")
+        content = self.held.pop(header.upload_id, b"")[: header.offset]
+        self.received = []
+        for request in request_iterator:
+            self.received.append(request.chunk)
+            content += request.chunk
+            if len(content) == self.breaks_at:
+                self.breaks_at = None
+                self.held[header.upload_id] = content
+                context.abort(grpc.StatusCode.UNAVAILABLE, "the connection broke")
         assert (header.size, header.blake3) == (len(content), blake3(content).hexdigest())
         return api.UploadMeshResponse(mesh=f"meshes/{header.blake3}", size=len(content))
+
+    def QueryUpload(self, request, context):
+        held = len(self.held.get(request.upload_id, b"")) + self.boast
+        return api.QueryUploadResponse(held=held)
 
     def CreateJob(self, request, context):
         faults = error_details_pb2.BadRequest()
@@ -243,6 +264,19 @@ def test_uploads_are_cut_into_chunks(scripted, tmp_path: Path, size: int) -> Non
     assert client.upload(path) == client.upload(content, "model.ply") == name
     assert b"".join(service.received) == content
     assert all(0 < len(chunk) <= CHUNK for chunk in service.received)
+
+
+def test_an_upload_goes_on_where_it_broke_off(scripted) -> None:
+    service, client = scripted
+    content = random.Random(7).randbytes(5 * CHUNK)
+    service.breaks_at = 3 * CHUNK
+    assert client.upload(content, "model.ply") == f"meshes/{blake3(content).hexdigest()}"
+    assert service.offsets == [0, 3 * CHUNK]
+    assert b"".join(service.received) == content[3 * CHUNK :]
+    # The one that was asked held more than the one that answers.
+    service.boast = CHUNK
+    client.upload(content, "model.ply")
+    assert service.offsets[2:] == [CHUNK, 0]
 
 
 def test_every_fault_of_a_request_is_told(scripted) -> None:

@@ -143,8 +143,15 @@ class Client:
             if upload_id:
                 # Where it broke off, or all that is there.
                 query = api.QueryUploadRequest(mesh=f"meshes/{source.hash}", upload_id=upload_id)
-                offset = min(self._stub.QueryUpload(query).held, source.size)
-            return self._stub.UploadMesh(parts(offset))
+                answer = self._call(lambda: self._stub.QueryUpload(query))
+                offset = min(answer.held, source.size)
+            try:
+                return self._stub.UploadMesh(parts(offset))
+            except grpc.RpcError as error:
+                # Another server answers, which holds less of it: all of it is right for any.
+                if offset == 0 or error.code() != grpc.StatusCode.OUT_OF_RANGE:
+                    raise
+                return self._stub.UploadMesh(parts(0))
 
         return self._call(send).mesh
 
