@@ -2,7 +2,7 @@
 //!
 //! A deterministic run that asks the same questions again and is given the answers comes to the same state
 //! without the work. That is how an attempt resumes: nothing of queues, moves or pictures is stored, what asks
-//! is run again (a fifth to a third of the time), and what cannot be answered yet is computed.
+//! is run again (about a seventh of the time), and what cannot be answered yet is computed.
 //!
 //! Invariants:
 //! 1. a tape is cut between two answers only, when the next question is asked: whatever the run did before that
