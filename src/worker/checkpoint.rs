@@ -95,7 +95,7 @@ impl HandingBack {
     }
 
     fn is_asked(&self) -> bool {
-        *self.stopped.borrow() == Some(Stop::Drain)
+        matches!(*self.stopped.borrow(), Some(Stop::Drain | Stop::Preempt))
     }
 
     /// Whether the attempt should end now; `makes_pieces` while it does.
@@ -103,7 +103,7 @@ impl HandingBack {
         let stop = *self.stopped.borrow();
         match stop {
             None => false,
-            Some(Stop::Drain) if makes_pieces => {
+            Some(Stop::Drain | Stop::Preempt) if makes_pieces => {
                 let since = *self.since.get_or_insert_with(Instant::now);
                 self.is_ready.load(Ordering::Relaxed) || since.elapsed() > LAST_WAIT
             }
@@ -145,6 +145,12 @@ mod tests {
 
     #[test]
     fn a_job_is_handed_back_with_its_checkpoint() {
+        for reason in [Stop::Drain, Stop::Preempt] {
+            check_handing_back(reason);
+        }
+    }
+
+    fn check_handing_back(reason: Stop) {
         let (stop, stopped) = watch::channel(None);
         let mut handing_back = HandingBack::when(&stopped);
         let (parcels, mut received) = mpsc::channel(8);
@@ -152,7 +158,7 @@ mod tests {
         let ask = |n: u64| tape.known(crate::tape::Question::of(0), || n);
         ask(1);
         assert!(!handing_back.should_end(true));
-        stop.send(Some(Stop::Drain)).unwrap();
+        stop.send(Some(reason)).unwrap();
         assert!(!handing_back.should_end(true), "not before the next question");
         assert!(handing_back.clone().should_end(false));
         ask(2);
