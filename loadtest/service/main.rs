@@ -71,6 +71,12 @@ const FULL: Size = Size {
 
 fn main() {
     let args: Vec<String> = std::env::args().skip(1).collect();
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
+    if let [flag, abuse] = &args[..]
+        && flag == tenant::BAD
+    {
+        return runtime.block_on(tenant::misbehave(abuse));
+    }
     let value = |flag: &str| {
         let at = args.iter().position(|arg| arg == flag)?;
         args.get(at + 1).cloned()
@@ -82,7 +88,6 @@ fn main() {
     }
     let size = if is_full { FULL } else { SMOKE };
     let only = value("--only").unwrap_or_default();
-    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
     let (mut rows, mut abuses) = (Vec::new(), Vec::new());
     runtime.block_on(async {
         for mut stores in Stores::all() {

@@ -28,7 +28,7 @@ impl Stores {
 
     /// A server with empty stores of its own, and without workers.
     pub(crate) fn server(&mut self, flags: &[&str]) -> Server {
-        let flags = [flags, &["--workers=0", "--max-requests-per-sec=1000000"]].concat();
+        let flags = [flags, &["--workers=0"]].concat();
         let environment = match self {
             Self::Local => Vec::new(),
             Self::Shared { cluster, bucket, n_servers } => {

@@ -1,10 +1,14 @@
 //! What a bad tenant does to a good one: the 99th percentile of the good one's submissions, alone and under each
 //! kind of abuse.
+//!
+//! The bad one is a process of its own that yields to all others (`SCHED_IDLE`): it has the processor time that they
+//! leave. Elsewhere it would have a machine of its own; what it takes from others is to be what the server gives it.
 
 use std::{
+    io::{BufRead as _, BufReader},
     net::SocketAddr,
     path::Path,
-    process::Command,
+    process::{Child, Command, Stdio},
     time::{Duration, Instant},
 };
 
@@ -18,6 +22,7 @@ use lookalike::service::{
     proto::v1::{self, lookalike_service_client::LookalikeServiceClient},
 };
 use tokio::{task::JoinSet, time::sleep};
+use tonic::Code;
 
 use crate::{
     Size,
@@ -35,8 +40,13 @@ const N_UPLOADS: usize = 4;
 /// A good tenant submits so often.
 const PAUSE: Duration = Duration::from_millis(20);
 
+/// The flag, with the abuse, that makes a process the bad tenant; the rest is in the environment.
+pub(crate) const BAD: &str = "--bad";
+/// What the bad tenant says when it has begun.
+const BEGUN: &str = "begun";
+
 /// The bad tenant.
-#[derive(Clone)]
+#[derive(Clone, serde::Serialize, serde::Deserialize)]
 struct Bad {
     url: String,
     token: String,
@@ -63,6 +73,7 @@ pub(crate) async fn take(stores: &mut Stores, size: Size) -> Vec<Abused> {
     let folder = tempfile::tempdir().unwrap();
     let tokens = ["good", "bad"].map(|name| token(folder.path(), name));
     let file = format!("--tokens={}", folder.path().join("tokens.toml").display());
+    // All other limits as they are.
     let server = stores.server(&[&file, "--max-mesh-mib=512"]);
     let [good, mut bad] = tokens.clone().map(|token| with_token(&server, &token));
     let mesh = upload_as(&mut bad, torus(50, 40)).await;
@@ -71,9 +82,9 @@ pub(crate) async fn take(stores: &mut Stores, size: Size) -> Vec<Abused> {
     let [_, token] = tokens;
     let bad = Bad { url: server.url.clone(), token, mesh, job, n_queued: size.n_queued };
     let mut rows = Vec::new();
-    for (what, begin) in ABUSES {
+    for (what, _) in ABUSES {
         let alone = Waits::of(submit(good.clone(), size.n_good).await);
-        let abuse = begin(bad.clone()).await;
+        let abuse = Abuser::begin(what, &bad);
         let beset = Waits::of(submit(good.clone(), size.n_good).await);
         drop(abuse);
         eprintln!("{what}: {beset:?}, alone {alone:?}");
@@ -83,6 +94,41 @@ pub(crate) async fn take(stores: &mut Stores, size: Size) -> Vec<Abused> {
     }
     check(&server);
     rows
+}
+
+/// The process of the bad tenant, until it is dropped.
+struct Abuser(Child);
+
+impl Abuser {
+    fn begin(what: &str, bad: &Bad) -> Self {
+        let mut command = Command::new("chrt");
+        command.args(["--idle", "0"]).arg(std::env::current_exe().unwrap()).args([BAD, what]);
+        command.env("BAD", serde_json::to_string(bad).unwrap()).stdout(Stdio::piped());
+        let mut child = command.spawn().unwrap();
+        let mut said = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut said).unwrap();
+        assert_eq!(said.trim(), BEGUN);
+        Self(child)
+    }
+}
+
+impl Drop for Abuser {
+    fn drop(&mut self) {
+        self.0.kill().unwrap();
+        self.0.wait().unwrap();
+    }
+}
+
+/// What the process of the bad tenant does, until it is killed.
+pub(crate) async fn misbehave(what: &str) {
+    let bad: Bad = serde_json::from_str(&std::env::var("BAD").unwrap()).unwrap();
+    let (_, begin) = ABUSES.iter().find(|(name, _)| *name == what).unwrap();
+    let mut tasks = begin(bad).await;
+    println!("{BEGUN}");
+    while let Some(ended) = tasks.join_next().await {
+        ended.unwrap();
+    }
+    std::future::pending::<()>().await;
 }
 
 /// The server is the one that was started, and nothing in it has panicked.
@@ -147,7 +193,12 @@ async fn queue(bad: Bad) -> JoinSet<()> {
     let client = bad.client();
     let creations = (0..bad.n_queued).map(|_| {
         let (mut client, request) = (client.clone(), create_request(&bad.mesh, ""));
-        async move { client.create_job(request).await.unwrap() }
+        async move {
+            // It may make so many a second.
+            while let Err(status) = client.create_job(request.clone()).await {
+                assert_eq!(status.code(), Code::ResourceExhausted, "{status:?}");
+            }
+        }
     });
     stream::iter(creations).buffer_unordered(16).for_each(async |_| {}).await;
     JoinSet::new()

@@ -50,7 +50,14 @@ pub(crate) async fn run(args: ServeArgs) -> Result<(), Failure> {
     let scheme = if tls.is_some() { "https" } else { "http" };
     show::print(&format!("listening on {scheme}://{address}\n"));
     warn_of(&config.guard.exposed);
-    let listeners = Listeners { tcp, tls, unix };
+    let crowding = config.guard.crowding.clone();
+    if let Err(n_files) = accept::allow_files(crowding.max_connections) {
+        tracing::warn!(
+            n_files,
+            "so many files may be open: too few for --max-connections (ulimit -n, LimitNOFILE)"
+        );
+    }
+    let listeners = Listeners { tcp, tls, crowding, unix };
     tracing::info!(%address, metrics = %config.metrics_listen, data_dir = %config.places.data_dir.display(), "ready");
 
     let observer = Arc::new(Observer::new());

@@ -5,6 +5,7 @@ use std::{net::SocketAddr, num::NonZeroU32, path::PathBuf};
 use clap::{Args, ValueEnum};
 use lookalike::service::{
     auth::{Credentials, JwtRules, Rates},
+    crowd::Crowding,
     tls::TlsFiles,
     web::Origin,
 };
@@ -61,6 +62,12 @@ pub(crate) struct GuardArgs {
     /// Uploads, downloads and logs that one principal may have open.
     #[arg(long, env = "LOOKALIKE_MAX_STREAMS", default_value_t = 1000, value_name = "N")]
     max_streams: usize,
+    /// Connections that may be open, half of them from one address.
+    #[arg(long, env = "LOOKALIKE_MAX_CONNECTIONS", default_value_t = 10_000, value_name = "N")]
+    max_connections: usize,
+    /// New connections a second from one address; four times as many at once. More wait, or are cut off.
+    #[arg(long, env = "LOOKALIKE_MAX_CONNECTIONS_PER_SEC", default_value = "64", value_name = "N")]
+    max_connections_per_sec: NonZeroU32,
 }
 
 /// Who may call, how much, and under which encryption.
@@ -69,6 +76,7 @@ pub(crate) struct Guard {
     pub(crate) credentials: Credentials,
     pub(crate) tls: Option<TlsFiles>,
     pub(crate) rates: Rates,
+    pub(crate) crowding: Crowding,
     /// Pages that may call from a browser.
     pub(crate) origins: Vec<Origin>,
     /// Ports that anybody can reach.
@@ -116,7 +124,11 @@ impl GuardArgs {
         }
         let rates =
             Rates { requests_per_sec: self.max_requests_per_sec, max_streams: self.max_streams };
-        Guard { credentials, tls, rates, origins: self.allow_origin, exposed }
+        let crowding = Crowding {
+            max_connections: self.max_connections,
+            connections_per_sec: self.max_connections_per_sec,
+        };
+        Guard { credentials, tls, rates, crowding, origins: self.allow_origin, exposed }
     }
 
     fn tls(&self, faults: &mut Vec<String>) -> Option<TlsFiles> {

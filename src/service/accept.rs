@@ -3,20 +3,24 @@
 //! 1. Handshakes run beside each other, each with a deadline, and the oldest makes room where there are too many:
 //!    peers that are slow or silent delay nobody. Who has said nothing by the deadline is cut off.
 //! 2. Certificates are read again when their files change; connections that are open stay open.
-//! 3. On the Unix socket there are only this server's workers: file modes keep others away.
+//! 3. A connection is read for a short while at a time, then it is the others' turn: what one sends, however much and
+//!    whatever it is, keeps the others waiting for one such while at most.
+//! 4. On the Unix socket there are only this server's workers: file modes keep others away.
 
 use std::{
     collections::VecDeque,
     fmt, fs, io,
+    net::IpAddr,
     net::SocketAddr,
     os::fd::AsRawFd,
     path::{Path, PathBuf},
     pin::Pin,
     sync::Arc,
     task::{Context, Poll},
-    time::Duration,
+    time::{Duration, Instant},
 };
 
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use tokio::{
     io::{AsyncRead, AsyncWrite, ReadBuf},
     net::{TcpListener, TcpStream, UnixListener},
@@ -27,7 +31,10 @@ use tokio::{
 use tokio_rustls::TlsAcceptor;
 use tonic::transport::server::Connected;
 
-use super::tls::{ServerTls, certificate_names};
+use super::{
+    crowd::{Crowd, Crowded, Crowding, Place},
+    tls::{ServerTls, certificate_names},
+};
 
 /// A handshake may take so long.
 const HANDSHAKE: Duration = Duration::from_secs(10);
@@ -35,6 +42,10 @@ const HANDSHAKE: Duration = Duration::from_secs(10);
 const MAX_HANDSHAKES: usize = 256;
 /// What HTTP of either version begins with has at least so many bytes.
 const OPENING: usize = 16;
+/// Bytes that are read of a connection before it is the others' turn.
+const TURN: usize = 64 << 10;
+/// Files that a server has open besides connections, at most: database, objects, logs that are read.
+const OWN_FILES: u64 = 1000;
 /// After an error of the socket (no more files, say).
 const PAUSE: Duration = Duration::from_millis(100);
 /// File name of the Unix socket.
@@ -48,6 +59,13 @@ pub(super) struct Peer {
     pub is_local_worker: bool,
     /// The DNS names and URIs of its certificate, which was verified.
     pub certificate_names: Arc<[String]>,
+}
+
+impl Peer {
+    /// Its address, unless it is a local worker.
+    pub fn ip(&self) -> Option<IpAddr> {
+        self.address.map(|address| address.ip())
+    }
 }
 
 impl fmt::Display for Peer {
@@ -66,6 +84,8 @@ pub struct Listeners {
     pub tcp: TcpListener,
     /// TLS on the TCP socket.
     pub tls: Option<ServerTls>,
+    /// How many may come in on the TCP socket.
+    pub crowding: Crowding,
     /// For the server's own workers.
     pub unix: UnixListener,
 }
@@ -79,6 +99,10 @@ pub(super) struct Connection {
     peer: Peer,
     /// Until the peer has begun to speak HTTP.
     opening: Option<Opening>,
+    /// Bytes read in this turn.
+    n_read: usize,
+    /// On the TCP socket.
+    _place: Option<Place>,
 }
 
 /// What a peer still has to say, and until when.
@@ -105,37 +129,44 @@ impl Listeners {
     /// Accepts connections for as long as somebody receives them.
     pub(super) async fn accept(self, ready: mpsc::Sender<io::Result<Connection>>) {
         let (mut handshakes, mut under_way) = (JoinSet::new(), VecDeque::new());
+        let crowd = Crowd::new(&self.crowding);
         loop {
             tokio::select! {
                 () = ready.closed() => return,
                 Some(_) = handshakes.join_next() => {}
                 tcp = self.tcp.accept() => match tcp {
-                    Ok((stream, address)) => {
-                        let acceptor = self.tls.as_ref().map(ServerTls::acceptor);
-                        let ready = ready.clone();
-                        make_room(&mut under_way);
-                        under_way.push_back(handshakes.spawn(async move {
-                            match shake(stream, address, acceptor).await {
-                                // The server is about to end when nobody receives.
-                                Ok(connection) => drop(ready.send(Ok(connection)).await),
-                                Err(error) => {
-                                    tracing::debug!(%address, %error, "no connection");
-                                }
-                            }
-                        }));
-                    }
+                    Ok((stream, address)) => match crowd.enter(address.ip(), Instant::now()) {
+                        Ok(entered) => {
+                            let acceptor = self.tls.as_ref().map(ServerTls::acceptor);
+                            let shaken = shake(stream, address, entered, acceptor);
+                            make_room(&mut under_way);
+                            under_way.push_back(handshakes.spawn(hand_over(shaken, ready.clone())));
+                        }
+                        Err(crowded) => refused(address, crowded),
+                    },
                     Err(error) => pause(&error).await,
                 },
                 unix = self.unix.accept() => match unix {
                     Ok((stream, _)) => {
                         let peer = Peer { is_local_worker: true, ..Peer::default() };
-                        let connection = Connection { io: Box::pin(stream), peer, opening: None };
+                        let connection = Connection::new(Box::pin(stream), peer, None);
                         drop(ready.send(Ok(connection)).await);
                     }
                     Err(error) => pause(&error).await,
                 },
             }
         }
+    }
+}
+
+async fn hand_over(
+    shaken: impl Future<Output = io::Result<Connection>>,
+    ready: mpsc::Sender<io::Result<Connection>>,
+) {
+    match shaken.await {
+        // The server is about to end when nobody receives.
+        Ok(connection) => drop(ready.send(Ok(connection)).await),
+        Err(error) => tracing::debug!(%error, "no connection"),
     }
 }
 
@@ -149,6 +180,16 @@ fn make_room(under_way: &mut VecDeque<AbortHandle>) {
     }
 }
 
+fn refused(address: SocketAddr, crowded: Crowded) {
+    tracing::debug!(%address, ?crowded, "no connection");
+    let why = match crowded {
+        Crowded::TooFast => "too fast",
+        Crowded::TooManyOfOne => "too many of one address",
+        Crowded::TooMany => "too many",
+    };
+    metrics::counter!("lookalike_connections_refused_total", "why" => why).increment(1);
+}
+
 async fn pause(error: &io::Error) {
     tracing::warn!(%error, "a connection cannot be accepted");
     tokio::time::sleep(PAUSE).await;
@@ -157,19 +198,43 @@ async fn pause(error: &io::Error) {
 async fn shake(
     stream: TcpStream,
     address: SocketAddr,
+    (place, wait): (Place, Duration),
     acceptor: Option<TlsAcceptor>,
 ) -> io::Result<Connection> {
+    if !wait.is_zero() {
+        sleep(wait).await;
+    }
     // Small answers must not wait for the peer's delayed acknowledgement (40 ms).
     stream.set_nodelay(true)?;
     let peer = Peer { address: Some(address), ..Peer::default() };
     let Some(acceptor) = acceptor else {
-        return Ok(Connection { io: Box::pin(stream), peer, opening: Some(Opening::default()) });
+        return Ok(Connection::new(Box::pin(stream), peer, Some(place)));
     };
     let stream = tokio::time::timeout(HANDSHAKE, acceptor.accept(stream)).await??;
     let certificate = stream.get_ref().1.peer_certificates().and_then(<[_]>::first);
     let certificate_names = certificate.map(certificate_names).unwrap_or_default().into();
-    let (peer, opening) = (Peer { certificate_names, ..peer }, Some(Opening::default()));
-    Ok(Connection { io: Box::pin(stream), peer, opening })
+    Ok(Connection::new(Box::pin(stream), Peer { certificate_names, ..peer }, Some(place)))
+}
+
+impl Connection {
+    /// Strangers have a place, and must begin to speak soon.
+    fn new(io: Pin<Box<dyn Io>>, peer: Peer, place: Option<Place>) -> Self {
+        let opening = place.is_some().then(Opening::default);
+        Self { io, peer, opening, n_read: 0, _place: place }
+    }
+}
+
+/// Lets this process have so many files open, besides what it needs for itself; says how many it may have where those
+/// are fewer.
+pub fn allow_files(n_connections: usize) -> Result<(), u64> {
+    let wanted = OWN_FILES.saturating_add(n_connections as u64);
+    let limit = getrlimit(Resource::Nofile);
+    let current = limit.maximum.map_or(wanted, |maximum| maximum.min(wanted));
+    if limit.current.is_some_and(|now| now < current) {
+        let raised = Rlimit { current: Some(current), ..limit };
+        setrlimit(Resource::Nofile, raised).map_err(|_| limit.current.unwrap_or(wanted))?;
+    }
+    if current < wanted { Err(current) } else { Ok(()) }
 }
 
 /// Binds the socket of the server's own workers in `folder`, which is closed to everybody else.
@@ -197,10 +262,18 @@ impl AsyncRead for Connection {
         cx: &mut Context<'_>,
         buf: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
+        if self.n_read >= TURN {
+            self.n_read = 0;
+            // Woken while it runs, a task goes to the end of the queue.
+            cx.waker().wake_by_ref();
+            return Poll::Pending;
+        }
         let before = buf.filled().len();
         let polled = self.io.as_mut().poll_read(cx, buf);
+        let n_read = buf.filled().len() - before;
+        self.n_read = if polled.is_pending() { 0 } else { self.n_read + n_read };
         let Some(opening) = &mut self.opening else { return polled };
-        opening.n_missing = opening.n_missing.saturating_sub(buf.filled().len() - before);
+        opening.n_missing = opening.n_missing.saturating_sub(n_read);
         if opening.n_missing == 0 {
             self.opening = None;
         } else if polled.is_pending() && opening.deadline.as_mut().poll(cx).is_ready() {

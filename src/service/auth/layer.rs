@@ -142,6 +142,7 @@ where
         Err((who, refusal)) => {
             let status = refusal.status();
             gate.note(who.as_ref(), &peer, &path, "", status.code()).await;
+            tokio::time::sleep(gate.gate.patience(&refusal, &peer)).await;
             return Ok(status.into_http());
         }
     };

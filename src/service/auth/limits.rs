@@ -4,9 +4,10 @@
 
 use std::{
     collections::HashMap,
+    net::IpAddr,
     num::NonZeroU32,
     sync::{Arc, Mutex, PoisonError},
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use governor::{
@@ -14,8 +15,14 @@ use governor::{
     clock::{Clock, DefaultClock},
 };
 
+use crate::service::pace::Pace;
+
 /// Principals whose buckets are full again are forgotten when there are more than this.
 const MANY: usize = 10_000;
+/// Refusals of strangers from one address that are answered at once, and how many more a second.
+const STRANGERS: (u32, u32) = (1000, 50);
+/// An answer is held back so long at most.
+const PATIENCE: Duration = Duration::from_secs(2);
 
 /// Caps on what one principal may ask for at once.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -32,6 +39,7 @@ pub(super) struct Limiter {
     rates: Rates,
     requests: DefaultKeyedRateLimiter<String>,
     streams: Arc<Mutex<HashMap<String, usize>>>,
+    strangers: Pace<Option<IpAddr>>,
 }
 
 /// An open stream, until it is dropped.
@@ -45,7 +53,12 @@ impl Limiter {
     pub(super) fn new(rates: Rates) -> Self {
         let burst = rates.requests_per_sec.saturating_mul(NonZeroU32::MIN.saturating_add(1));
         let quota = Quota::per_second(rates.requests_per_sec).allow_burst(burst);
-        Self { rates, requests: RateLimiter::keyed(quota), streams: Arc::default() }
+        Self {
+            rates,
+            requests: RateLimiter::keyed(quota),
+            streams: Arc::default(),
+            strangers: Pace::new(STRANGERS.1, STRANGERS.0),
+        }
     }
 
     /// Counts a request; the time to wait when it is one too many.
@@ -56,6 +69,11 @@ impl Limiter {
         let clock = DefaultClock::default();
         let checked = self.requests.check_key(&key.to_owned());
         checked.map_err(|early| early.wait_time_from(clock.now()))
+    }
+
+    /// How long the refusal of a stranger is held back: at once only a few are told.
+    pub(super) fn stranger(&self, address: Option<IpAddr>) -> Duration {
+        self.strangers.turn(address, Instant::now(), PATIENCE).unwrap_or(PATIENCE)
     }
 
     /// Counts a stream as long as the answer lives; how many may be open when it is one too many.
@@ -101,5 +119,16 @@ mod tests {
         drop((open, limiter.stream("bob").unwrap()));
         limiter.stream("ann").unwrap();
         assert!(limiter.streams.lock().unwrap().is_empty());
+    }
+
+    #[test]
+    fn strangers_are_answered_ever_later() {
+        let rates = Rates { requests_per_sec: NonZeroU32::MIN, max_streams: 1 };
+        let limiter = Limiter::new(rates);
+        let [here, there] = [1, 2].map(|last| Some(IpAddr::from([127, 0, 0, last])));
+        let waits: Vec<Duration> = (0..2000).map(|_| limiter.stranger(here)).collect();
+        assert_eq!(waits[..1000].iter().max(), Some(&Duration::ZERO));
+        assert_eq!(waits[1999], PATIENCE);
+        assert_eq!(limiter.stranger(there), Duration::ZERO);
     }
 }

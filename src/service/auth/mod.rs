@@ -34,6 +34,9 @@ pub(super) use self::{
     watched::Watched,
 };
 
+/// The refusal of one call too many is held back so long at least.
+const HURRIED: Duration = Duration::from_millis(100);
+
 /// How callers prove who they are.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Credentials {
@@ -180,6 +183,16 @@ impl Gate {
         match method.is_stream.then(|| self.limiter.stream(&key)).transpose() {
             Ok(stream) => Ok(Admitted { who, stream }),
             Err(most) => Err((who, Refusal::Streams(most))),
+        }
+    }
+
+    /// How long a refusal is held back. Who does not wait for an answer before the next call cannot have very many
+    /// on the way; who does is slowed down.
+    fn patience(&self, refusal: &Refusal, peer: &Peer) -> Duration {
+        match refusal {
+            Refusal::Unknown(_) => self.limiter.stranger(peer.ip()),
+            Refusal::Hurried(wait) => (*wait).max(HURRIED),
+            Refusal::Forbidden { .. } | Refusal::Streams(_) => Duration::ZERO,
         }
     }
 }

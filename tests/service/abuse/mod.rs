@@ -20,7 +20,7 @@ use lookalike::{
     },
 };
 use tempfile::TempDir;
-use tokio::net::TcpStream;
+use tokio::{net::TcpStream, time::timeout};
 use tonic::{Code, Status};
 use tonic_types::StatusExt;
 
@@ -224,12 +224,71 @@ async fn silent_connections_are_dropped() {
     let mut two = Two::start(&[]);
     let mut silent = Vec::new();
     for _ in 0..600 {
-        silent.push(TcpStream::connect(two.address()).await.unwrap());
+        silent.push(raw::connect(two.address()).await.unwrap());
     }
-    tokio::time::timeout(Duration::from_secs(60), two.check_good()).await.unwrap();
+    timeout(Duration::from_secs(60), two.check_good()).await.unwrap();
     // All of them in the end.
     for connection in &silent {
         let is_closed = || async { matches!(connection.try_read(&mut [0]), Ok(0)).then_some(()) };
         eventually("a silent connection to be dropped", is_closed).await;
     }
+}
+
+/// Whether the server keeps the connection for a while.
+async fn is_kept(connection: &TcpStream) -> bool {
+    let closed = async {
+        loop {
+            connection.readable().await.unwrap();
+            match connection.try_read(&mut [0; 64]) {
+                Err(error) if error.kind() == std::io::ErrorKind::WouldBlock => {}
+                Ok(1..) => {}
+                Ok(0) | Err(_) => return,
+            }
+        }
+    };
+    timeout(Duration::from_millis(500), closed).await.is_err()
+}
+
+/// How many connections of so many stay, and whether others can still connect.
+async fn check_crowd(flag: &str, n: usize, wanted: std::ops::RangeInclusive<usize>) {
+    let mut two = Two::start(&[flag]);
+    let mut connections = Vec::new();
+    for _ in 0..n {
+        // One that is cut off at once may not even come to be.
+        connections.extend(raw::connect(two.address()).await.ok());
+    }
+    let kept = futures::future::join_all(connections.iter().map(is_kept)).await;
+    let n_kept = kept.into_iter().filter(|kept| *kept).count();
+    assert!(wanted.contains(&n_kept), "{flag}: {n_kept} of {n} are kept");
+    two.check_good().await;
+    two.another_bad().list_jobs(v1::ListJobsRequest::default()).await.unwrap();
+}
+
+/// Four seconds' worth at once, and one second's that waits.
+#[tokio::test]
+async fn connections_that_come_too_fast_are_cut_off() {
+    check_crowd("--max-connections-per-sec=10", 100, 50..=60).await;
+}
+
+#[tokio::test]
+async fn one_address_leaves_connections_for_others() {
+    check_crowd("--max-connections=40", 100, 20..=20).await;
+}
+
+/// Calls without a token are answered ever later; those with one are not.
+#[tokio::test]
+async fn strangers_are_slowed_down() {
+    let mut two = Two::start(&[]);
+    let stranger =
+        LookalikeServiceClient::new(connection(&two.server.url, &Access::default()).unwrap());
+    let calls = (0..1200).map(|_| {
+        let mut stranger = stranger.clone();
+        async move { stranger.list_jobs(v1::ListJobsRequest::default()).await.unwrap_err().code() }
+    });
+    let start = std::time::Instant::now();
+    let codes: Vec<_> = stream::iter(calls).buffer_unordered(16).collect().await;
+    assert!(codes.iter().all(|code| *code == Code::Unauthenticated));
+    // A thousand at once, then fifty a second, and whoever has waited two seconds.
+    assert!(start.elapsed() > Duration::from_secs(2), "{:?}", start.elapsed());
+    two.check_good().await;
 }

@@ -1,10 +1,14 @@
 //! HTTP/2 by hand, for what no sound client sends.
 
-use std::{net::SocketAddr, time::Duration};
+use std::{
+    io,
+    net::{Ipv4Addr, SocketAddr},
+    time::Duration,
+};
 
 use tokio::{
     io::{AsyncReadExt, AsyncWriteExt},
-    net::TcpStream,
+    net::{TcpSocket, TcpStream},
     time::timeout,
 };
 
@@ -74,9 +78,16 @@ pub(crate) fn malformed() -> Vec<(&'static str, Vec<u8>, End)> {
     ]
 }
 
+/// A connection from another machine, as far as the server can tell.
+pub(crate) async fn connect(server: SocketAddr) -> io::Result<TcpStream> {
+    let socket = TcpSocket::new_v4()?;
+    socket.bind((Ipv4Addr::new(127, 0, 0, 2), 0).into())?;
+    socket.connect(server).await
+}
+
 /// Sends bytes, and waits until the server ends the connection.
 pub(crate) async fn send(server: SocketAddr, bytes: &[u8]) -> End {
-    let stream = TcpStream::connect(server).await.unwrap();
+    let stream = connect(server).await.unwrap();
     let (mut from, mut to) = stream.into_split();
     // The server may end it before everything is sent.
     let sent = async {
