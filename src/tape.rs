@@ -23,10 +23,10 @@ mod piece;
 pub use answer::Answer;
 pub use piece::{MAX_PIECE, pack};
 
-/// What was asked: a kind of question, 0 to 7, and something about it that is cheap to tell.
+/// What was asked: a kind of question, 0 to 15, and something about it that is cheap to tell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Question {
-    /// Which kind; at most 7.
+    /// Which kind; at most 15.
     pub kind: u8,
     /// Equal where the questions are; may be equal where they are not.
     pub print: u64,
@@ -42,7 +42,7 @@ impl Question {
         let print = self.print ^ self.print >> 32;
         let print = print ^ print >> 16;
         let print = print ^ print >> 8;
-        self.kind & 7 | (print as u8 ^ (print >> 5) as u8) << 3
+        self.kind & 15 | (print as u8 ^ (print >> 4) as u8) << 4
     }
 }
 

@@ -19,7 +19,7 @@ const MAY_IMPORT: [(&str, &[&str]); 19] = [
     ("mesh", &["intrinsics"]),
     ("io", &["mesh"]),
     ("progressive", &["mesh"]),
-    ("memoryless", &["mesh", "intrinsics"]),
+    ("memoryless", &["mesh", "intrinsics", "tape"]),
     ("cluster", &["mesh"]),
     ("tape", &[]),
     ("render", &["intrinsics", "tape"]),

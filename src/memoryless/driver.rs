@@ -5,6 +5,8 @@
 //! edge keeps its old key and is re-evaluated only when it comes up. Edges that may not be
 //! collapsed when they come up leave the queue and return when U(v) touches them.
 //!
+//! The keys may be on a tape: then only the edges that are collapsed are judged, which is one of about seven.
+//!
 //! Time is near-linear in the triangles: what a step costs depends on the triangles at the ends of
 //! its edge, and hubs, which have very many, are left for later ([`MAX_VALENCE`]). The rest of its
 //! cost is waiting for memory, which [`Ahead`] shortens.
@@ -19,6 +21,7 @@ use super::params::Params;
 use super::placement::{Placement, Scratch, placement_between, turns_too_far};
 use super::queue::{Entry, Queue};
 use crate::mesh::{Collapse, EdgeId, EdgeTable, EditMesh, Sample, Stage, Step, Topology, VertexId};
+use crate::tape::{Question, Tape};
 
 /// How many samples and progress reports a run gives, about.
 const N_REPORTS: usize = 200;
@@ -26,6 +29,9 @@ const N_REPORTS: usize = 200;
 /// In flat regions every collapse costs nothing; this share of L⁶, far below the cost of any
 /// visible bend, sends short edges first, so that such regions thin out evenly.
 const FLAT_SHARE: f64 = 1e-12;
+
+/// What the tape is asked: the key of an edge. (0 to 7: `render`, `optimize`, `worker`.)
+const KEY: u8 = 8;
 
 /// A vertex of more triangles is a hub. Every collapse at it costs time in proportion to them, so its
 /// edges wait until collapses around it have left it fewer, or nothing else can be collapsed.
@@ -66,16 +72,16 @@ pub fn simplify(
     params: &Params,
     on: &mut dyn FnMut(Step<'_>) -> ControlFlow<()>,
 ) -> Outcome {
-    Simplifier::new(mesh, params).run_to(target_faces, on)
+    Simplifier::new(mesh, params, &Tape::off()).run_to(target_faces, on)
 }
 
 /// Memoryless simplification in progress: run it to one target after another, coarser each time.
 pub struct Simplifier<'a>(Run<'a>);
 
 impl<'a> Simplifier<'a> {
-    /// Gets ready: judges every edge.
-    pub fn new(mesh: &'a mut EditMesh, params: &'a Params) -> Self {
-        Self(Run::new(mesh, params))
+    /// Gets ready: judges every edge, but for those whose keys are on the tape.
+    pub fn new(mesh: &'a mut EditMesh, params: &'a Params, tape: &'a Tape) -> Self {
+        Self(Run::new(mesh, params, tape))
     }
 
     /// The mesh as it is now.
@@ -117,6 +123,7 @@ pub fn may_collapse(mesh: &EditMesh, a: VertexId, b: VertexId, topology: Topolog
 struct Run<'a> {
     mesh: &'a mut EditMesh,
     params: &'a Params,
+    tape: &'a Tape,
     min_cos: f64,
     edges: EdgeTable,
     queue: Queue,
@@ -152,12 +159,13 @@ pub(super) struct VertexState {
 }
 
 impl<'a> Run<'a> {
-    fn new(mesh: &'a mut EditMesh, params: &'a Params) -> Self {
+    fn new(mesh: &'a mut EditMesh, params: &'a Params, tape: &'a Tape) -> Self {
         let edges = EdgeTable::new(mesh);
         let (n_edges, n_vertices) = (edges.n_slots(), mesh.n_vertex_slots());
         let mut run = Self {
             mesh,
             params,
+            tape,
             min_cos: libm::cos(params.max_turn_degrees.to_radians()),
             edges,
             queue: Queue::new(Vec::new()),
@@ -180,7 +188,7 @@ impl<'a> Run<'a> {
             self.set_aside(edge);
             return None;
         }
-        Some(self.evaluate(edge).0)
+        Some(self.judge(edge).0)
     }
 
     fn collapse_until(
@@ -223,14 +231,18 @@ impl<'a> Run<'a> {
                 self.set_aside(edge);
                 continue;
             }
-            let was_fresh = self.is_fresh(edge);
-            let (entry, found) = self.evaluate(edge);
-            if !was_fresh {
+            let found = if self.is_fresh(edge) {
+                self.evaluations += 1;
+                None
+            } else {
+                let (entry, found) = self.judge(edge);
                 self.replace_top(Some(entry));
                 if self.queue.peek() != Some(entry) {
                     continue;
                 }
-            }
+                found
+            };
+            let found = found.unwrap_or_else(|| self.place(edge));
             self.replace_top(None);
             return Some((edge, found.to));
         }
@@ -265,19 +277,34 @@ impl<'a> Run<'a> {
         is_fresh(&self.edges, &self.evaluated_at, &self.vertices, edge)
     }
 
-    /// The queue entry and placement of an edge as things are now.
-    fn evaluate(&mut self, edge: EdgeId) -> (Entry, Placement) {
+    /// The queue entry of an edge as things are now, and its placement if that had to be found.
+    fn judge(&mut self, edge: EdgeId) -> (Entry, Option<Placement>) {
+        self.evaluations += 1;
+        self.evaluated_at[edge.index()] = self.now;
+        let mut found = None;
+        let question = Question { kind: KEY, print: edge.0.into() };
+        let key = self.tape.known(question, || {
+            let placement = self.place(edge);
+            let key = Entry::new(self.cost(edge, &placement), edge).key();
+            found = Some(placement);
+            key.to_le_bytes()
+        });
+        (Entry::with_key(u32::from_le_bytes(key), edge), found)
+    }
+
+    /// The placement of an edge as things are now.
+    fn place(&mut self, edge: EdgeId) -> Placement {
         let ends = self.edges.ends(edge);
         self.sum(ends[0]);
         self.sum(ends[1]);
         let fans = ends.map(|v| &self.fans[v.index()]);
-        let found = placement_between(self.mesh, ends, fans, self.params, &mut self.scratch);
-        self.evaluations += 1;
-        self.evaluated_at[edge.index()] = self.now;
+        placement_between(self.mesh, ends, fans, self.params, &mut self.scratch)
+    }
+
+    fn cost(&self, edge: EdgeId, found: &Placement) -> f64 {
+        let ends = self.edges.ends(edge);
         let length2 = self.mesh.position(ends[0]).distance_squared(self.mesh.position(ends[1]));
-        let cost =
-            found.cost * self.mesh.weight_around(ends) + FLAT_SHARE * length2 * length2 * length2;
-        (Entry::new(cost, edge), found)
+        found.cost * self.mesh.weight_around(ends) + FLAT_SHARE * length2 * length2 * length2
     }
 
     /// Brings the sums at a vertex up to date.

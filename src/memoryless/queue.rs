@@ -27,8 +27,19 @@ impl Entry {
     #[inline]
     pub(super) fn new(cost: f64, edge: EdgeId) -> Self {
         // The bits of non-negative floats are ordered as their values; the sign bit is spare.
-        let key = cost.abs().to_bits() >> 31;
-        Self(key << 32 | u64::from(edge.0))
+        Self::with_key((cost.abs().to_bits() >> 31) as u32, edge)
+    }
+
+    /// The same of another's [`Self::key`].
+    #[inline]
+    pub(super) fn with_key(key: u32, edge: EdgeId) -> Self {
+        Self(u64::from(key) << 32 | u64::from(edge.0))
+    }
+
+    /// The cost, to 21 bits of mantissa.
+    #[inline]
+    pub(super) fn key(self) -> u32 {
+        (self.0 >> 32) as u32
     }
 
     pub(super) fn edge(self) -> EdgeId {

@@ -388,3 +388,49 @@ fn what_matters_less_goes_first() {
     let weighed = n_left(weights);
     assert!(2 * weighed < as_they_are, "{weighed} of {as_they_are}");
 }
+
+/// A run whose keys are known up to any place ends as one that has to find them all, and judges fewer edges.
+#[test]
+fn a_run_goes_on_where_it_was_broken_off() {
+    use std::sync::{Arc, Mutex};
+
+    use crate::tape::{Tape, pack};
+
+    let original = shapes::terrain(40, 0.3);
+    let params = Params::default();
+    // Two targets, one after the other.
+    let play = |tape: &Tape| {
+        let (mut mesh, mut story) = (EditMesh::new(original.clone()).unwrap(), Vec::new());
+        let mut simplifier = Simplifier::new(&mut mesh, &params, tape);
+        for target in [1500, 90] {
+            let outcome = simplifier.run_to(target, &mut |step| {
+                story.push(format!("{step:?}"));
+                ControlFlow::Continue(())
+            });
+            story.push(format!("{outcome:?}"));
+        }
+        (mesh.snapshot().positions, story)
+    };
+    let kept: Arc<Mutex<Vec<Vec<u8>>>> = Arc::default();
+    let (keep, mut n_asked) = (Arc::clone(&kept), 0);
+    let every_so_often = move |recorded: &mut Vec<u8>| {
+        n_asked += 1;
+        if n_asked % 2500 == 0 {
+            keep.lock().unwrap().push(pack(&std::mem::take(recorded)).unwrap());
+        }
+    };
+    let wanted = play(&Tape::new(Vec::new(), Box::new(every_so_often)));
+    assert!(wanted == play(&Tape::off()));
+    let pieces = kept.lock().unwrap().clone();
+    assert!(pieces.len() > 5, "{} pieces", pieces.len());
+    let mut n_found = Vec::new();
+    for n in 1..=pieces.len() {
+        let asked = Arc::new(Mutex::new(0));
+        let count = Arc::clone(&asked);
+        let tape = Tape::new(pieces[..n].to_vec(), Box::new(move |_| *count.lock().unwrap() += 1));
+        assert!(play(&tape) == wanted, "other edits after {n} pieces");
+        assert_eq!(tape.fault(), None);
+        n_found.push(*asked.lock().unwrap());
+    }
+    assert!(n_found.windows(2).all(|n| n[0] == n[1] + 2500), "{n_found:?}");
+}

@@ -3,7 +3,7 @@
 
 const MAGIC: [u8; 4] = *b"LKTP";
 /// Raised with every change of what is asked, in which order, or how it is written.
-const VERSION: u8 = 1;
+const VERSION: u8 = 2;
 const HEADER: usize = 9;
 /// Answers are numbers without much order.
 const ZSTD_LEVEL: i32 = 1;

@@ -10,6 +10,7 @@ use crate::{
     mesh::{EditMesh, Marks, Mesh, Semantic, Stage, Step},
     metric::{d2_percent, with_vertex_normals},
     simplify,
+    tape::Tape,
 };
 
 use super::{
@@ -79,7 +80,8 @@ pub(super) fn run(
     let mut course = Course { levels: &mut levels, gauge, recorder, topology, measure_from };
     course.begin(&mesh)?;
     let finest = spread(job, &mesh, &mut course)?;
-    figures.push(memoryless_stage(spec, &mut mesh, &mut course, finest)?);
+    let tape = job.studio.tape();
+    figures.push(memoryless_stage((spec, tape), &mut mesh, &mut course, finest)?);
     if spec.method == Method::Image && !course.levels.is_complete() {
         figures.push(image_stage(job, &mut mesh, &mut course, finest)?);
     }
@@ -135,7 +137,7 @@ fn given(
 
 /// Memoryless simplification: to the last level, or to where the image-driven stage takes over.
 fn memoryless_stage(
-    spec: &Spec,
+    (spec, tape): (&Spec, &Tape),
     mesh: &mut EditMesh,
     course: &mut Course<'_, '_>,
     Spread { coarsest, image_start }: Spread,
@@ -151,7 +153,7 @@ fn memoryless_stage(
         return Ok(figures.end(now));
     }
     let params = params::memoryless(spec);
-    let simplifier = memoryless::Simplifier::new(mesh, &params);
+    let simplifier = memoryless::Simplifier::new(mesh, &params, tape);
     let mut stage = Geometric { simplifier, figures };
     course.follow(&mut stage, floor)?;
     Ok(stage.figures.end(course.recorder.clock().read()))

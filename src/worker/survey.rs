@@ -66,9 +66,9 @@ fn survey(
     (guesses, gauge): (&mut [Guess], &Gauge<'_>),
     recorder: &mut Recorder<'_>,
 ) -> Result<(), PipelineError> {
-    let params = params::memoryless(job.spec);
+    let (params, tape) = (params::memoryless(job.spec), job.studio.tape().clone());
     let looks = guesses.iter().any(|guess| guess.pending.max_energy.is_some());
-    let mut simplifier = memoryless::Simplifier::new(copy, &params);
+    let mut simplifier = memoryless::Simplifier::new(copy, &params, &tape);
     while guesses.iter().any(|guess| !guess.is_final) {
         let target = simplifier.mesh().n_faces() / 2;
         let outcome = simplifier.run_to(target as u32, &mut |step| match step {
