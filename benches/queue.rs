@@ -28,6 +28,7 @@ async fn fill(store: &Store, owner: &str, from: usize, to: usize) {
             file_name: "a.ply".into(),
             spec: Spec::new(vec![5]),
             priority: 0,
+            labels: std::collections::BTreeMap::default(),
             webhook: String::new(),
         };
         let id = format!("{owner}{i}");

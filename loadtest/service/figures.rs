@@ -26,6 +26,8 @@ use crate::{
 /// Clients that submit at once, and workers that report at once.
 const N_CLIENTS: usize = 16;
 const N_WORKERS: usize = 8;
+/// A connection has room for 256 calls.
+const WATCHERS_OF_ONE: usize = 200;
 /// What is measured is what the server can do, not what it lets one principal do.
 const UNLIMITED: &str = "--max-requests-per-sec=1000000";
 /// As the pipeline makes them: records of a chunk, and bytes of a record.
@@ -59,6 +61,12 @@ pub(crate) async fn take(stores: &mut Stores, size: Size) -> Figures {
     let (rate, mib) = replay(&server, size.n_chunks).await;
     add("replayed records a second, one client", rate, "500,000");
     add("the same in MiB a second", mib, "");
+    let server = stores.server(&[UNLIMITED, "--max-streams=10000"]);
+    let (n_watchers, waits, kib) = watch(&server, size.n_watchers).await;
+    add("streams that watch one job", n_watchers, "thousands");
+    add("until the half of them has an entry of the log (ms)", quantile(waits.clone(), 0.5), "");
+    add("until the last one has it (ms)", quantile(waits, 1.0), "");
+    add("memory of the server for each (KiB)", kib, "");
     if let Stores::Shared { cluster, .. } = stores {
         add(
             "pgbench, 8 clients: transactions a second",
@@ -229,6 +237,44 @@ async fn replay(server: &Server, n_chunks: u64) -> (f64, f64) {
     assert_eq!(n_records, n_chunks / 50 * 50 * u64::from(RECORDS));
     let secs = start.elapsed().as_secs_f64();
     (n_records as f64 / secs, n_bytes as f64 / secs / f64::from(1 << 20))
+}
+
+/// Streams that watch a job at which something happens once: how many, milliseconds until each has heard of it, and
+/// what one costs the server.
+async fn watch(server: &Server, n: usize) -> (f64, Vec<f64>, f64) {
+    let mut worker = server.worker_client();
+    let lease = lease(server.client(), server.worker_client(), 0).await;
+    let before = resident_kib(server);
+    let mut streams = Vec::with_capacity(n);
+    while streams.len() < n {
+        let mut client = server.client();
+        for _ in 0..WATCHERS_OF_ONE.min(n - streams.len()) {
+            let watch = v1::WatchJobRequest { name: lease.job.clone(), after_seq: 1 };
+            let mut stream = client.watch_job(watch).await.unwrap().into_inner();
+            // Its start, which has happened before.
+            stream.message().await.unwrap().unwrap();
+            streams.push(stream);
+        }
+    }
+    let kib = (resident_kib(server) - before) / n as f64;
+    let start = Instant::now();
+    let mut watchers = JoinSet::new();
+    for mut stream in streams {
+        watchers.spawn(async move {
+            stream.message().await.unwrap().unwrap();
+            start.elapsed().as_secs_f64() * 1e3
+        });
+    }
+    append(&mut worker, &lease, 0, &progress()[..1]).await;
+    let waits = watchers.join_all().await;
+    worker.complete(failed(Some(lease))).await.unwrap();
+    (n as f64, waits, kib)
+}
+
+fn resident_kib(server: &Server) -> f64 {
+    let status = std::fs::read_to_string(format!("/proc/{}/status", server.pid())).unwrap();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
+    line.trim().trim_end_matches(" kB").parse().unwrap()
 }
 
 /// PostgreSQL's own benchmark (TPC-B-like), for scale: transactions a second. NaN where it is missing.

@@ -41,6 +41,8 @@ pub(crate) struct Size {
     pub(crate) n_batches: u64,
     /// Chunks of 512 records in the log that is replayed.
     pub(crate) n_chunks: u64,
+    /// Streams that watch one job.
+    pub(crate) n_watchers: usize,
     /// Submissions of the good tenant under each abuse.
     pub(crate) n_good: usize,
     /// Jobs that the bad tenant has waiting.
@@ -54,6 +56,7 @@ const SMOKE: Size = Size {
     n_jobs: 50,
     n_batches: 5,
     n_chunks: 50,
+    n_watchers: 50,
     n_good: 20,
     n_queued: 100,
     bench_secs: 1,
@@ -64,6 +67,7 @@ const FULL: Size = Size {
     n_jobs: 3000,
     n_batches: 250,
     n_chunks: 4000,
+    n_watchers: 5000,
     n_good: 300,
     n_queued: 10_000,
     bench_secs: 15,

@@ -7,6 +7,7 @@ use lookalike::{
     jobs::state::State,
     service::{convert, proto::v1},
 };
+use prost_types::Timestamp;
 
 use super::{
     exit::{Exit, Failure},
@@ -23,6 +24,15 @@ pub(crate) struct JobsArgs {
     /// Only this owner's jobs (administrators; others see their own).
     #[arg(long, value_name = "OWNER", default_value = "", hide_default_value = true)]
     owner: String,
+    /// Only jobs with this label; may be given several times.
+    #[arg(long = "label", value_name = "KEY=VALUE")]
+    labels: Vec<String>,
+    /// Only jobs created at this time (RFC 3339, such as 2026-05-01T00:00:00Z) or later.
+    #[arg(long, value_name = "TIME")]
+    from: Option<Timestamp>,
+    /// Only jobs created before this time.
+    #[arg(long, value_name = "TIME")]
+    until: Option<Timestamp>,
     /// At most this many, newest first.
     #[arg(long, default_value_t = 1000, value_name = "N")]
     limit: usize,
@@ -78,8 +88,15 @@ pub(crate) struct PinArgs {
 pub(crate) async fn list(args: JobsArgs) -> Result<(), Failure> {
     let remote = Remote::connect(&args.server).await?;
     let states = args.state.iter().map(|state| convert::state_to_wire(*state).into()).collect();
-    let (page_token, owner) = (String::new(), args.owner);
-    let mut request = v1::ListJobsRequest { page_size: 100, page_token, states, owner };
+    let mut request = v1::ListJobsRequest {
+        page_size: 100,
+        page_token: String::new(),
+        states,
+        owner: args.owner,
+        labels: args.labels,
+        create_time_from: args.from,
+        create_time_until: args.until,
+    };
     let mut left = args.limit;
     loop {
         let page = remote.call(|mut client| {

@@ -73,6 +73,7 @@ pub(crate) async fn run(args: OptimizeCommandArgs) -> Result<(), Failure> {
         no_wait: false,
         webhook: String::new(),
         priority: 0,
+        labels: Vec::new(),
     };
     submit(&args.server, &args.original, Some(&args.simplified), spec, request).await
 }

@@ -150,16 +150,21 @@ async fn sweep(
     }
 }
 
-/// Removes results whose time is up, until the end.
+/// Removes results whose time is up, and what is left of checkpoints, until the end.
 async fn tidy(jobs: &Jobs, stop: &CancellationToken) -> anyhow::Result<()> {
     let mut tick = tokio::time::interval(TIDY);
     loop {
         tokio::select! {
-            _ = tick.tick() => match jobs.sweep_results().await {
-                Ok(0) => {}
-                Ok(n_jobs) => tracing::info!(n_jobs, "results were removed: their time was up"),
-                Err(error) => tracing::error!(%error, "results cannot be removed"),
-            },
+            _ = tick.tick() => {
+                match jobs.sweep_results().await {
+                    Ok(0) => {}
+                    Ok(n_jobs) => tracing::info!(n_jobs, "results were removed: their time was up"),
+                    Err(error) => tracing::error!(%error, "results cannot be removed"),
+                }
+                if let Err(error) = jobs.sweep_checkpoints().await {
+                    tracing::error!(%error, "checkpoints of ended jobs cannot be removed");
+                }
+            }
             () = stop.cancelled() => return Ok(()),
         }
     }

@@ -31,6 +31,7 @@ pub(crate) fn job_json(job: v1::Job) -> Value {
         "owner": job.owner,
         "mesh": job.mesh,
         "file_name": job.file_name,
+        "labels": job.labels.into_iter().collect::<std::collections::BTreeMap<_, _>>(),
         "state": state,
         "stage": job.stage,
         "fraction": job.fraction,

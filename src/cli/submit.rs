@@ -4,7 +4,10 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use lookalike::{
-    jobs::spec::{Input, Spec},
+    jobs::{
+        labels,
+        spec::{Input, Spec},
+    },
     service::{convert, proto::v1},
 };
 
@@ -40,6 +43,9 @@ pub(crate) struct SubmitArgs {
     /// Jobs of higher priority come first: -10 to 10, more than 0 for administrators.
     #[arg(long, default_value_t = 0, allow_negative_numbers = true, value_name = "N")]
     priority: i32,
+    /// What to call the job by, key=value; may be given several times.
+    #[arg(long = "label", value_parser = labels::parse, value_name = "KEY=VALUE")]
+    labels: Vec<(String, String)>,
     #[command(flatten)]
     server: ServerArgs,
 }
@@ -52,6 +58,7 @@ pub(crate) async fn run(args: SubmitArgs) -> Result<(), Failure> {
         no_wait: args.no_wait,
         webhook: args.webhook,
         priority: args.priority,
+        labels: args.labels,
     };
     submit(&args.server, &args.file, None, spec, request).await
 }
@@ -69,6 +76,8 @@ pub(crate) struct Request {
     pub(crate) webhook: String,
     /// Those of higher priority come first.
     pub(crate) priority: i32,
+    /// What to call the job by.
+    pub(crate) labels: Vec<(String, String)>,
 }
 
 /// Uploads the original, and what it was simplified to where that is to be optimized; creates the
@@ -100,6 +109,7 @@ pub(crate) async fn submit(
         spec: Some(convert::spec_to_wire(&spec)),
         webhook_url: request.webhook,
         priority: request.priority,
+        labels: request.labels.into_iter().collect(),
     };
     let job = create(&remote, wanted).await?;
     if request.no_wait {

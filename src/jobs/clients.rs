@@ -7,10 +7,10 @@ use super::{
     Jobs,
     blobs::{Blob, Upload, is_hash, is_safe_name},
     error::{Error, Result},
+    labels,
     points::{Point, pass},
     spec::Fault,
-    state::State,
-    store::{Artifact, Job, NewJob},
+    store::{Artifact, Filter, Job, NewJob},
 };
 
 /// A mesh that is on disk.
@@ -158,6 +158,7 @@ impl Jobs {
             let (low, high) = (PRIORITIES.start(), PRIORITIES.end());
             fault("priority", format!("{}: use {low} to {high}", new.priority));
         }
+        labels::faults(&new.labels).into_iter().for_each(|text| fault("labels", text));
         for (prefix, mesh, file_name) in inputs(new) {
             if !is_hash(mesh) {
                 let text = "use the name that UploadMesh returned, `meshes/{hash}`";
@@ -188,16 +189,9 @@ impl Jobs {
         self.0.store.job(id).await
     }
 
-    /// Jobs of `owner` (everybody's where there is none) in one of `states` (all when empty), newest
-    /// first, older than the job numbered `before`.
-    pub async fn list(
-        &self,
-        owner: Option<&str>,
-        states: &[State],
-        before: Option<i64>,
-        limit: u32,
-    ) -> Result<Vec<Job>> {
-        self.0.store.list(owner, states, before, limit).await
+    /// Jobs that pass `filter`, newest first, older than the job numbered `before`.
+    pub async fn list(&self, filter: &Filter, before: Option<i64>, limit: u32) -> Result<Vec<Job>> {
+        self.0.store.list(filter, before, limit).await
     }
 
     /// Cancels a queued job, or asks the worker of a running one to stop; says whether this call
@@ -307,6 +301,7 @@ mod tests {
             file_name,
             spec,
             priority: 0,
+            labels: labels::Labels::new(),
             webhook: String::new(),
         };
         jobs.create(new, vec![]).await.unwrap();

@@ -1,4 +1,5 @@
-//! Results have their time: after it they are removed, but for those of pinned jobs. Logs stay.
+//! Results have their time: after it they are removed, but for those of pinned jobs. Logs stay. Checkpoints end with their
+//! jobs.
 
 use super::{
     Jobs,
@@ -14,6 +15,24 @@ impl Jobs {
     /// Keeps the results of a job beyond their time, or no longer so.
     pub async fn pin(&self, id: &str, pinned: bool) -> Result<Job> {
         self.0.store.pin(id, pinned).await
+    }
+
+    /// Removes the checkpoint of a job that has ended, whose last epoch is this one.
+    pub(super) async fn forget_checkpoint(&self, id: &str, epoch: u64) -> Result<()> {
+        self.0.blobs.remove_pieces(id, epoch).await?;
+        match self.0.store.checkpoint_gone(id).await {
+            // Deleted a moment ago.
+            Err(Error::NotFound(_)) => Ok(()),
+            gone => gone,
+        }
+    }
+
+    /// Removes checkpoints that stayed when their jobs ended: their server had died. To be called now and then.
+    pub async fn sweep_checkpoints(&self) -> Result<()> {
+        for (id, epoch) in self.0.store.useless_checkpoints(AT_ONCE).await? {
+            self.forget_checkpoint(&id, epoch).await?;
+        }
+        Ok(())
     }
 
     /// Removes results whose time is up; of how many jobs. To be called now and then.

@@ -23,6 +23,7 @@ pub mod clients;
 pub mod error;
 pub mod event;
 pub mod follow;
+pub mod labels;
 pub mod lease;
 pub mod owners;
 pub mod places;
@@ -269,7 +270,7 @@ impl Jobs {
     /// Removes the checkpoints of those that ended.
     async fn forget_checkpoints(&self, jobs: &[Job]) -> Result<()> {
         for job in jobs.iter().filter(|job| job.state.is_final()) {
-            self.0.blobs.remove_pieces(&job.id, job.epoch).await?;
+            self.forget_checkpoint(&job.id, job.epoch).await?;
         }
         Ok(())
     }

@@ -16,8 +16,7 @@ use super::{
     error::{Error, Quota, Result},
     principal::{Act, Listed, Principal},
     spec::Fault,
-    state::State,
-    store::{Artifact, Attempt, Job, NewJob},
+    store::{Artifact, Attempt, Filter, Job, NewJob},
 };
 
 /// What one principal may see and do.
@@ -76,20 +75,15 @@ impl Desk<'_> {
         Ok((self.job(id).await?, self.jobs.attempts(id).await?))
     }
 
-    /// Jobs of `owner` (all that may be seen when empty) in one of `states` (all when empty), newest
-    /// first, older than the job numbered `before`.
-    pub async fn list(
-        &self,
-        owner: &str,
-        states: &[State],
-        before: Option<i64>,
-        limit: u32,
-    ) -> Result<Vec<Job>> {
-        match self.who.listed(owner) {
-            Listed::All => self.jobs.list(None, states, before, limit).await,
-            Listed::Of(owner) => self.jobs.list(Some(owner), states, before, limit).await,
-            Listed::Nothing => Ok(Vec::new()),
-        }
+    /// Jobs that pass `filter` (all that may be seen where it names no owner), newest first, older than the job
+    /// numbered `before`.
+    pub async fn list(&self, filter: &Filter, before: Option<i64>, limit: u32) -> Result<Vec<Job>> {
+        let owner = match self.who.listed(filter.owner.as_deref().unwrap_or_default()) {
+            Listed::All => None,
+            Listed::Of(owner) => Some(owner.to_owned()),
+            Listed::Nothing => return Ok(Vec::new()),
+        };
+        self.jobs.list(&Filter { owner, ..filter.clone() }, before, limit).await
     }
 
     /// Cancels a queued job, or asks the worker of a running one to stop; says whether this call
@@ -151,9 +145,11 @@ mod tests {
     use super::*;
     use crate::jobs::{
         Limits,
+        labels::Labels,
         lease::Terms,
         principal::Role,
         spec::Spec,
+        state::State,
         tests::{Home, in_homes},
     };
 
@@ -189,6 +185,7 @@ mod tests {
             file_name,
             spec,
             priority: 0,
+            labels: Labels::new(),
             webhook: String::new(),
         }
     }
@@ -229,8 +226,13 @@ mod tests {
         let bobs = bob.create(job_on(&mesh, "r"), vec![]).await.unwrap();
         assert_ne!(bobs.id, job.id);
         assert_eq!(ann.create(job_on(&mesh, "r"), vec![]).await.unwrap(), job);
+        let of = |owner: &str, states: &[State]| Filter {
+            owner: Some(owner.into()).filter(|owner: &String| !owner.is_empty()),
+            states: states.into(),
+            ..Filter::default()
+        };
         let list = async |desk: Desk<'_>, owner: &str| -> Vec<String> {
-            let jobs = desk.list(owner, &[], None, 9).await.unwrap();
+            let jobs = desk.list(&of(owner, &[]), None, 9).await.unwrap();
             jobs.into_iter().map(|job| job.id).collect()
         };
         let (hers, his) = (job.id.clone(), bobs.id.clone());
@@ -239,9 +241,10 @@ mod tests {
         assert_eq!(list(admin, "").await, [his.clone(), hers]);
         assert_eq!(list(admin, "bob").await, [his]);
         assert_eq!(list(admin, "bob\0").await, [""; 0]);
-        let cancelled = ann.list("ann", &[State::Cancelled, State::Failed], None, 9).await.unwrap();
-        assert_eq!(cancelled, []);
-        assert_eq!(ann.list("", &[State::Running, State::Queued], None, 9).await.unwrap(), [job]);
+        let ended = of("ann", &[State::Cancelled, State::Failed]);
+        assert_eq!(ann.list(&ended, None, 9).await.unwrap(), []);
+        let waiting = of("", &[State::Running, State::Queued]);
+        assert_eq!(ann.list(&waiting, None, 9).await.unwrap(), [job]);
         assert_eq!(jobs.0.blobs.jobs().await.unwrap().len(), 0);
     }
 

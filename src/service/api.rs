@@ -17,8 +17,7 @@ use crate::jobs::{
     clients::{Announced, StoredMesh},
     error::Error,
     spec::Fault,
-    state::State,
-    store::NewJob,
+    store::{Filter, NewJob},
 };
 
 /// Jobs on a page when the client does not say.
@@ -101,6 +100,7 @@ impl v1::lookalike_service_server::LookalikeService for Api {
             file_name: request.file_name,
             spec,
             priority: request.priority,
+            labels: request.labels.into_iter().collect(),
             webhook: self.webhooks.url_for(request.webhook_url),
         };
         let spec = new.spec.clone();
@@ -134,18 +134,16 @@ impl v1::lookalike_service_server::LookalikeService for Api {
     ) -> Result<Response<v1::ListJobsResponse>, Status> {
         let call = call_of(&request)?;
         let request = request.into_inner();
-        let owner = request.owner.as_str();
-        let states = read_states(&request.states)?;
-        let before = read_token(&request.page_token, owner, &states)?;
+        let filter = convert::filter_from_wire(&request)?;
+        let before = read_token(&request.page_token, &filter)?;
         let limit = page_size(request.page_size, PAGE);
         // One more than asked for tells whether there is a next page.
-        let found = self.jobs.desk(&call.who).list(owner, &states, before, limit + 1).await;
+        let found = self.jobs.desk(&call.who).list(&filter, before, limit + 1).await;
         let mut jobs = found.map_err(|e| status_of(&e))?;
         let more = jobs.len() > limit as usize;
         jobs.truncate(limit as usize);
         let last = jobs.last().filter(|_| more);
-        let next_page_token =
-            last.map(|job| write_token(job.n, owner, &states)).unwrap_or_default();
+        let next_page_token = last.map(|job| write_token(job.n, &filter)).unwrap_or_default();
         let jobs = jobs.iter().map(convert::job_to_wire).collect();
         Ok(Response::new(v1::ListJobsResponse { jobs, next_page_token }))
     }
@@ -325,14 +323,6 @@ fn mesh_chunk(message: v1::UploadMeshRequest) -> Option<Bytes> {
     }
 }
 
-fn read_states(wire: &[i32]) -> Result<Vec<State>, Status> {
-    let text = |state| format!("{state} is no state that a job can be in");
-    let read = |&state| {
-        convert::state_from_wire(state).ok_or_else(|| status::invalid("states", text(state)))
-    };
-    wire.iter().map(read).collect()
-}
-
 /// How many items a page may have.
 fn page_size(asked: u32, default: u32) -> u32 {
     if asked == 0 { default } else { asked.min(MAX_PAGE) }
@@ -358,12 +348,12 @@ fn read_name_token(token: &str) -> Result<String, Status> {
 }
 
 /// Where the next page begins, and for which filter.
-fn write_token(before: i64, owner: &str, states: &[State]) -> String {
-    let states: Vec<_> = states.iter().map(|state| state.name()).collect();
-    URL_SAFE_NO_PAD.encode(format!("{before} {owner} {}", states.join(" ")))
+fn write_token(before: i64, filter: &Filter) -> String {
+    let print = blake3::hash(format!("{filter:?}").as_bytes()).to_hex();
+    URL_SAFE_NO_PAD.encode(format!("{before} {}", &print[..16]))
 }
 
-fn read_token(token: &str, owner: &str, states: &[State]) -> Result<Option<i64>, Status> {
+fn read_token(token: &str, filter: &Filter) -> Result<Option<i64>, Status> {
     if token.is_empty() {
         return Ok(None);
     }
@@ -371,8 +361,8 @@ fn read_token(token: &str, owner: &str, states: &[State]) -> Result<Option<i64>,
     let text = URL_SAFE_NO_PAD.decode(token).ok().and_then(|bytes| String::from_utf8(bytes).ok());
     let before = text.as_deref().and_then(|text| text.split(' ').next()?.parse().ok());
     let before: i64 = before.ok_or_else(|| fault("not a token of this server: start over"))?;
-    if write_token(before, owner, states) != token {
-        return Err(fault("it belongs to a list with other states or another owner: start over"));
+    if write_token(before, filter) != token {
+        return Err(fault("it belongs to a list of other jobs: start over, or ask for the same"));
     }
     Ok(Some(before))
 }
@@ -380,16 +370,30 @@ fn read_token(token: &str, owner: &str, states: &[State]) -> Result<Option<i64>,
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::jobs::state::State;
 
     #[test]
     fn page_tokens_remember_their_filter() {
-        let states = [State::Queued, State::Failed];
-        let token = write_token(42, "ann", &states);
-        assert_eq!(read_token(&token, "ann", &states).unwrap(), Some(42));
-        assert!(read_token(&token, "ann", &states[..1]).is_err());
-        assert!(read_token(&token, "", &states).is_err());
-        assert!(read_token("@", "", &[]).is_err());
-        assert!(read_token("YWJj", "", &[]).is_err());
-        assert_eq!(read_token("", "", &states).unwrap(), None);
+        let filter = Filter {
+            owner: Some("ann".into()),
+            states: vec![State::Queued, State::Failed],
+            labels: [("batch".into(), "7".into())].into(),
+            created_ms: (None, Some(9)),
+        };
+        let token = write_token(42, &filter);
+        assert_eq!(read_token(&token, &filter).unwrap(), Some(42));
+        assert_eq!(read_token("", &filter).unwrap(), None);
+        let others = [
+            Filter { owner: None, ..filter.clone() },
+            Filter { states: vec![State::Queued], ..filter.clone() },
+            Filter { labels: [("batch".into(), "8".into())].into(), ..filter.clone() },
+            Filter { created_ms: (Some(9), None), ..filter.clone() },
+        ];
+        for other in others {
+            assert!(read_token(&token, &other).is_err(), "{other:?}");
+        }
+        for bad in ["@", "YWJj"] {
+            assert!(read_token(bad, &filter).is_err(), "{bad}");
+        }
     }
 }

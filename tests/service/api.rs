@@ -89,6 +89,7 @@ async fn every_fault_of_a_request_is_listed() {
         spec: Some(spec_to_wire(&spec)),
         webhook_url: String::new(),
         priority: 0,
+        labels: std::collections::HashMap::new(),
     };
     let status = server.client().create_job(request).await.unwrap_err();
     assert_eq!(status.code(), Code::InvalidArgument);
@@ -131,6 +132,46 @@ async fn pages_are_stable_while_jobs_are_created() {
     assert_eq!(client.list_jobs(request.clone()).await.unwrap_err().code(), Code::InvalidArgument);
     request.page_token.clear();
     assert_eq!(client.list_jobs(request).await.unwrap().into_inner().jobs, []);
+}
+
+#[tokio::test]
+async fn jobs_are_found_by_what_they_are_called() {
+    let server = Server::start_with(&["--workers=0"]);
+    let mut client = server.client();
+    let mesh = upload(&mut client, small_torus()).await;
+    let call = |batch: &str| {
+        let labels = [("batch".to_owned(), batch.to_owned())].into();
+        v1::CreateJobRequest { labels, ..create_request(&mesh, "") }
+    };
+    let mut names = Vec::new();
+    for batch in ["7", "8", "7"] {
+        let job = client.create_job(call(batch)).await.unwrap().into_inner().job.unwrap();
+        assert_eq!(job.labels["batch"], batch);
+        names.push(job.name);
+    }
+    let mut request =
+        v1::ListJobsRequest { page_size: 1, labels: vec!["batch=7".into()], ..Default::default() };
+    let mut seen = Vec::new();
+    loop {
+        let page = client.list_jobs(request.clone()).await.unwrap().into_inner();
+        seen.extend(page.jobs.into_iter().map(|job| job.name));
+        if page.next_page_token.is_empty() {
+            break;
+        }
+        request.page_token = page.next_page_token;
+    }
+    assert_eq!(seen, [names[2].clone(), names[0].clone()]);
+    let mut bad = call("7");
+    bad.labels.insert("a b".into(), String::new());
+    let refused = client.create_job(bad).await.unwrap_err();
+    assert_eq!(faults_of(&refused)[0].field, "labels");
+    let unreadable = v1::ListJobsRequest { labels: vec!["batch".into()], ..Default::default() };
+    let refused = client.list_jobs(unreadable).await.unwrap_err();
+    assert_eq!(refused.code(), Code::InvalidArgument);
+    let jobs = |flags: &[&str]| String::from_utf8(server.run("jobs", flags).stdout).unwrap();
+    let listed = jobs(&["--label=batch=8", "--json"]);
+    assert!(listed.contains(&names[1]) && listed.lines().count() == 1, "{listed}");
+    assert_eq!(jobs(&["--from=2100-01-01T00:00:00Z"]), "");
 }
 
 #[tokio::test]

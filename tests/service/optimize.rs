@@ -30,6 +30,7 @@ fn request(original: &str, simplified: &str) -> v1::CreateJobRequest {
         spec: Some(spec_to_wire(&spec)),
         webhook_url: String::new(),
         priority: 0,
+        labels: std::collections::HashMap::new(),
     }
 }
 

@@ -328,6 +328,7 @@ pub(crate) fn create_request(mesh: &str, request_id: &str) -> v1::CreateJobReque
         spec: Some(spec_to_wire(&job_spec())),
         webhook_url: String::new(),
         priority: 0,
+        labels: std::collections::HashMap::new(),
     }
 }
 

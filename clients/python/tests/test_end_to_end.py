@@ -134,7 +134,9 @@ def test_the_same_request_makes_one_job(client: lookalike.Client) -> None:
     mesh = ball(5, subdivisions=3)
 
     def submit(_: int) -> str:
-        run = client.simplify(mesh, triangles=100, request_id="same", **QUICK)
+        run = client.simplify(
+            mesh, triangles=100, request_id="same", labels={"batch": "7"}, **QUICK
+        )
         run.close()
         return run.job
 
@@ -143,6 +145,8 @@ def test_the_same_request_makes_one_job(client: lookalike.Client) -> None:
     assert len(names) == 1
     job = names.pop()
     assert [listed.name for listed in client.jobs()].count(job) == 1
+    assert [listed.name for listed in client.jobs(labels={"batch": "7"})] == [job]
+    assert list(client.jobs("failed", labels={"batch": "7"})) == []
     assert len(client.run(job, progress=False).result().lods) == 1
     with pytest.raises(lookalike.Refused) as refused:
         client.simplify(mesh, triangles=101, request_id="same", **QUICK)

@@ -2,13 +2,13 @@
 //!
 //! 1. A piece follows all entries of the log that its attempt had sent when it was cut: an attempt that goes on
 //!    from the piece makes void what comes after them, and nothing else.
-//! 2. A checkpoint ends with its job.
+//! 2. The checkpoint of a job that has ended is of no use, and stays on record until its bytes are removed.
 //!
 //! Knows nothing of what pieces hold.
 
 use sqlx::{AnyConnection, Row};
 
-use super::{Body, Store, Tx, log, now_ms, storable, workers::held_to_write};
+use super::{Body, Store, Tx, find_to_write, log, now_ms, storable, workers::held_to_write};
 use crate::jobs::{
     error::{Error, Result},
     event::{CREATED_SEQ, ServerEvent},
@@ -79,6 +79,28 @@ impl Store {
             log(&mut tx, &mut job, now, &[(Body::Server(body), None)]).await?;
             pass(Point::ResumeWritten);
             Ok(pieces)
+        })
+    }
+
+    /// Jobs that have ended and whose checkpoints are on record, with their last epochs.
+    pub async fn useless_checkpoints(&self, limit: u32) -> Result<Vec<(String, u64)>> {
+        let query = "SELECT id, epoch FROM jobs WHERE ended_ms IS NOT NULL \
+                     AND id IN (SELECT job FROM checkpoints) LIMIT $1";
+        let rows = sqlx::query(query).bind(i64::from(limit)).fetch_all(&self.readers).await?;
+        let known = |row: &sqlx::any::AnyRow| {
+            Ok((row.try_get("id")?, row.try_get::<i64, _>("epoch")? as u64))
+        };
+        rows.iter().map(known).collect()
+    }
+
+    /// Notes that the bytes of an ended job's checkpoint are gone.
+    pub async fn checkpoint_gone(&self, id: &str) -> Result<()> {
+        transaction!(self, tx, {
+            // One that was queued anew has another.
+            if find_to_write(&mut tx, id).await?.state.is_final() {
+                forget(&mut tx, id).await?;
+            }
+            Ok(())
         })
     }
 

@@ -6,13 +6,13 @@ use sqlx::{AssertSqlSafe, Row, any::AnyRow};
 
 use super::{
     Artifact, Body, Exclusive, Job, State, Store, StoredEvent, Tx, checkpoints, event_of, find,
-    find_to_write, job_of, log, now_ms, only, owners, places, sql, state_entry, storable, stored,
-    webhooks,
+    find_to_write, job_of, log, now_ms, only, owners, sql, state_entry, storable, stored, webhooks,
 };
 use crate::jobs::{
     Limits,
     error::{Error, Result},
     event::{CREATED_SEQ, ServerEvent},
+    labels::Labels,
     points::{Point, pass},
     spec::Spec,
     state::Trigger,
@@ -33,8 +33,63 @@ pub struct NewJob {
     pub spec: Spec,
     /// Those of higher priority come first.
     pub priority: i32,
+    /// What its client calls it by.
+    pub labels: Labels,
     /// Whom to call when it has ended; empty for nobody. A repeated request keeps the first one's.
     pub webhook: String,
+}
+
+/// Which jobs.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Filter {
+    /// Only this owner's.
+    pub owner: Option<String>,
+    /// Only those in one of these states; empty for all.
+    pub states: Vec<State>,
+    /// Only those that have all of these labels.
+    pub labels: Labels,
+    /// Only those created at this time or later, and before that; milliseconds since 1970.
+    pub created_ms: (Option<i64>, Option<i64>),
+}
+
+impl Filter {
+    /// A query, and the texts that it asks for from `$5` on; `$1` to `$4` are the number before which jobs are listed,
+    /// how many, and the times.
+    fn query(&self) -> (String, Vec<&str>) {
+        let mut texts = Vec::new();
+        let mut place = |text| {
+            texts.push(text);
+            format!("${}", texts.len() + 4)
+        };
+        let mut tables = "jobs".to_owned();
+        let mut conditions = "jobs.n < $1 AND created_ms >= $3 AND created_ms < $4".to_owned();
+        for (i, (key, value)) in self.labels.iter().enumerate() {
+            let (key, value) = (place(key.as_str()), place(value));
+            tables += &format!(
+                " JOIN labels AS label{i} ON label{i}.n = jobs.n AND label{i}.key = {key} \
+                 AND label{i}.value = {value}"
+            );
+        }
+        if let Some(owner) = &self.owner {
+            conditions += &format!(" AND owner = {}", place(owner));
+        }
+        let states: Vec<_> = self.states.iter().map(|state| place(state.name())).collect();
+        if !states.is_empty() {
+            conditions += &format!(" AND state IN ({})", states.join(", "));
+        }
+        let query =
+            format!("SELECT jobs.* FROM {tables} WHERE {conditions} ORDER BY jobs.n DESC LIMIT $2");
+        (query, texts)
+    }
+}
+
+/// Notes the labels of a new job, so that they can be searched.
+async fn note_labels(tx: &mut Tx, job: &Job) -> Result<()> {
+    for (key, value) in &job.labels {
+        let insert = sqlx::query("INSERT INTO labels VALUES ($1, $2, $3)");
+        insert.bind(key).bind(value).bind(job.n).execute(&mut **tx).await?;
+    }
+    Ok(())
 }
 
 /// A mesh that nobody else stores or sweeps.
@@ -136,15 +191,17 @@ impl Store {
             keep_meshes(&mut tx, new, now).await?;
             let spec = serde_json::to_string(&new.spec).map_err(stored("the specification"))?;
             let insert = "INSERT INTO jobs (id, owner, mesh, file_name, spec, state, created_ms, \
-                          queued_ms, priority) VALUES ($1, $2, $3, $4, $5, $6, $7, $7, $8)";
+                          queued_ms, priority, labels) VALUES ($1, $2, $3, $4, $5, $6, $7, $7, $8, $9)";
             let insert = sqlx::query(insert).bind(id).bind(&new.owner).bind(&new.mesh);
             let insert =
                 insert.bind(&new.file_name).bind(spec).bind(State::Queued.name()).bind(now);
-            let insert = insert.bind(i64::from(new.priority));
+            let labels = serde_json::to_string(&new.labels).map_err(stored("the labels"))?;
+            let insert = insert.bind(i64::from(new.priority)).bind(labels);
             insert.execute(&mut *tx).await?;
             owners::note_request(&mut tx, new, id).await?;
             webhooks::note(&mut tx, new, id).await?;
             let mut job = find(&mut tx, id).await?;
+            note_labels(&mut tx, &job).await?;
             let entry = state_entry(&job, "CREATED", "waiting for a worker".into());
             log(&mut tx, &mut job, now, &[entry]).await?;
             pass(Point::CreateWritten);
@@ -157,27 +214,14 @@ impl Store {
         find(&mut *self.readers.acquire().await?, id).await
     }
 
-    /// Jobs of `owner` (everybody's where there is none) in one of `states` (all when empty), newest
-    /// first, older than the job numbered `before`.
-    pub async fn list(
-        &self,
-        owner: Option<&str>,
-        states: &[State],
-        before: Option<i64>,
-        limit: u32,
-    ) -> Result<Vec<Job>> {
-        let of_owner = if owner.is_some() { "AND owner = $3" } else { "" };
-        let in_states = match states.len() {
-            0 => String::new(),
-            n => format!("AND state IN {}", places(3 + usize::from(owner.is_some()), n)),
-        };
-        let query = format!(
-            "SELECT * FROM jobs WHERE n < $1 {of_owner} {in_states} ORDER BY n DESC LIMIT $2"
-        );
+    /// Jobs that pass `filter`, newest first, older than the job numbered `before`.
+    pub async fn list(&self, filter: &Filter, before: Option<i64>, limit: u32) -> Result<Vec<Job>> {
+        let (query, texts) = filter.query();
         let query = sqlx::query(AssertSqlSafe(query)).bind(before.unwrap_or(i64::MAX));
-        let query = query.bind(i64::from(limit));
-        let query = owner.into_iter().fold(query, |query, owner| query.bind(storable(owner)));
-        let query = states.iter().fold(query, |query, state| query.bind(state.name()));
+        let (from, until) = filter.created_ms;
+        let query = query.bind(i64::from(limit)).bind(from.unwrap_or(i64::MIN));
+        let query = query.bind(until.unwrap_or(i64::MAX));
+        let query = texts.into_iter().fold(query, |query, text| query.bind(storable(text)));
         query.fetch_all(&self.readers).await?.iter().map(job_of).collect()
     }
 
@@ -373,6 +417,7 @@ async fn keep_meshes(tx: &mut Tx, new: &NewJob, now: i64) -> Result<()> {
 
 /// The job an earlier request made, if this one asks for the same.
 fn same_request(job: Job, new: &NewJob) -> Result<Job> {
-    let same = (&job.mesh, &job.file_name, &job.spec) == (&new.mesh, &new.file_name, &new.spec);
+    let same = (&job.mesh, &job.file_name, &job.spec, &job.labels)
+        == (&new.mesh, &new.file_name, &new.spec, &new.labels);
     if same { Ok(job) } else { Err(Error::RequestIdReused(new.request_id.clone())) }
 }

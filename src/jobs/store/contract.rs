@@ -15,6 +15,7 @@ use crate::jobs::{
     audit::AuditEntry,
     error::Quota,
     event::Report,
+    labels,
     lease::{Lease, Terms},
     principal::LOCAL,
     spec::{Input, Spec},
@@ -61,6 +62,7 @@ in_homes! { [on_sqlite on_postgres] [
     logs_have_no_gaps_whoever_writes,
     numbers_are_committed_in_order,
     a_job_keeps_its_meshes,
+    jobs_are_found_by_their_labels_and_age,
     texts_are_kept_and_ordered_by_their_bytes,
     the_clock_is_the_database_s,
     expired_leases_are_lost_once,
@@ -96,6 +98,7 @@ fn new_job(request_id: &str) -> NewJob {
         file_name,
         spec: Spec::new(vec![5]),
         priority: 0,
+        labels: std::collections::BTreeMap::default(),
         webhook: String::new(),
     }
 }
@@ -269,7 +272,7 @@ async fn numbers_are_committed_in_order(home: Home) {
     let reader = async {
         let mut seen = 0;
         while seen < 81 {
-            let listed = stores[2].list(None, &[], None, 1000).await.unwrap();
+            let listed = stores[2].list(&Filter::default(), None, 1000).await.unwrap();
             assert_eq!(listed[0].n - listed[listed.len() - 1].n + 1, listed.len() as i64);
             seen = listed.len();
         }
@@ -293,7 +296,59 @@ async fn a_job_keeps_its_meshes(home: Home) {
         panic!("created")
     };
     assert_eq!(faults[0].field, "mesh");
-    assert_eq!(store.list(None, &[], None, 9).await.unwrap().len(), 1);
+    assert_eq!(store.list(&Filter::default(), None, 9).await.unwrap().len(), 1);
+}
+
+async fn jobs_are_found_by_their_labels_and_age(home: Home) {
+    let [store]: [Store; 1] = home.servers().await;
+    add_mesh(&store, "mesh").await;
+    let labels = |texts: &[&str]| texts.iter().map(|text| labels::parse(text).unwrap()).collect();
+    let mut created_ms = Vec::new();
+    for (id, texts) in [("a", vec!["x=1", "y=2"]), ("b", vec!["x=1"]), ("c", vec!["y=2", "z="])] {
+        let new = NewJob { labels: labels(&texts), ..new_job("") };
+        let (job, _) = store.create(id, &new, &queue_of(9)).await.unwrap();
+        assert_eq!(job.labels, new.labels);
+        created_ms.push(job.created_ms);
+        tokio::time::sleep(Duration::from_millis(3)).await;
+    }
+    let found = async |filter: Filter, before: Option<i64>| -> String {
+        let jobs = store.list(&filter, before, 9).await.unwrap();
+        jobs.into_iter().map(|job| job.id).collect()
+    };
+    let rows: [(&[&str], &str); 7] = [
+        (&[], "cba"),
+        (&["x=1"], "ba"),
+        (&["y=2"], "ca"),
+        (&["x=1", "y=2"], "a"),
+        (&["z="], "c"),
+        (&["z=1"], ""),
+        (&["x=1", "z="], ""),
+    ];
+    for (texts, wanted) in rows {
+        let filter = Filter { labels: labels(texts), ..Filter::default() };
+        assert_eq!(found(filter, None).await, wanted, "{texts:?}");
+    }
+    let both = Filter {
+        owner: Some(LOCAL.into()),
+        states: vec![State::Running, State::Queued],
+        labels: labels(&["x=1"]),
+        created_ms: (None, None),
+    };
+    assert_eq!(found(both.clone(), None).await, "ba");
+    assert_eq!(found(both, Some(2)).await, "a");
+    let [a, b, c] = created_ms[..] else { panic!("{created_ms:?}") };
+    for (from, until, wanted) in
+        [(Some(b), None, "cb"), (None, Some(b), "a"), (Some(a + 1), Some(c), "b")]
+    {
+        let filter = Filter { created_ms: (from, until), ..Filter::default() };
+        assert_eq!(found(filter, None).await, wanted);
+    }
+    // They go with their job.
+    store.cancel("a").await.unwrap();
+    store.delete("a").await.unwrap();
+    let n: i64 =
+        sqlx::query_scalar("SELECT count(*) FROM labels").fetch_one(&store.readers).await.unwrap();
+    assert_eq!(n, 3);
 }
 
 async fn texts_are_kept_and_ordered_by_their_bytes(home: Home) {
@@ -339,7 +394,7 @@ async fn expired_leases_are_lost_once(home: Home) {
     tokio::time::sleep(Duration::from_millis(20)).await;
     let (a, b) = tokio::join!(stores[0].lose_expired(3), stores[1].lose_expired(3));
     assert_eq!(a.unwrap().len() + b.unwrap().len(), 10);
-    for job in stores[1].list(None, &[], None, 99).await.unwrap() {
+    for job in stores[1].list(&Filter::default(), None, 99).await.unwrap() {
         assert_eq!((job.state, job.lost, job.last_seq), (State::Queued, 1, 4));
     }
 }

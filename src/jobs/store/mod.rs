@@ -41,6 +41,7 @@ use self::dialect::{places, sql};
 use super::{
     error::{Error, Result},
     event::{Body, Event, ServerEvent},
+    labels::Labels,
     lease::Orders,
     spec::Spec,
     state::State,
@@ -48,7 +49,7 @@ use super::{
 
 pub use attempts::Attempt;
 pub use checkpoints::{Piece, RESUMED};
-pub use clients::{MeshLock, NewJob};
+pub use clients::{Filter, MeshLock, NewJob};
 pub use dialect::Address;
 pub use fleet::{Service, Worker};
 pub use listen::{Ear, Heard};
@@ -101,6 +102,8 @@ pub struct Job {
     pub ended_ms: Option<i64>,
     /// Those of higher priority come first.
     pub priority: i32,
+    /// What its client calls it by.
+    pub labels: Labels,
     /// One of higher priority waits for its worker.
     pub preempt: bool,
     /// Its results are kept beyond their time.
@@ -331,6 +334,7 @@ fn job_of(row: &AnyRow) -> Result<Job> {
         started_ms: row.try_get("started_ms")?,
         ended_ms: row.try_get("ended_ms")?,
         priority: int("priority")? as i32,
+        labels: from_json(&id, row.try_get("labels")?)?,
         preempt: int("preempt")? != 0,
         pinned: int("pinned")? != 0,
         results_removed: int("swept")? != 0,

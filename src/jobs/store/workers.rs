@@ -312,7 +312,6 @@ async fn end(
     update.execute(&mut **tx).await?;
     let entry = state_entry(&job, reason, text);
     log(tx, &mut job, now, &[entry]).await?;
-    checkpoints::forget(tx, &job.id).await?;
     webhooks::due(tx, &job.id, now).await?;
     Ok(job)
 }

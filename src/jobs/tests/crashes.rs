@@ -12,7 +12,10 @@ use std::{
 };
 
 use super::{s3::S3, *};
-use crate::jobs::{blobs::BucketName, points::Point};
+use crate::jobs::{
+    blobs::{Blob, BucketName},
+    points::Point,
+};
 
 const DIR: &str = "LOOKALIKE_CRASH_DIR";
 const DATABASE: &str = "LOOKALIKE_CRASH_DATABASE";
@@ -341,16 +344,18 @@ impl Actors {
             assert_eq!(bytes, b"of the second attempt");
         }
         self.jobs.sweep_results().await.unwrap();
+        self.jobs.sweep_checkpoints().await.unwrap();
         self.acknowledge("swept", id);
         let job = self.jobs.job(id).await.unwrap();
         assert!(job.results_removed);
         for epoch in 1..=job.epoch {
-            let blob = self.jobs.0.blobs.artifact(id, epoch, "lod-0.glb", 1);
-            let left = match blob.read(0, 1).await {
-                Ok(chunks) => chunks.try_collect::<Vec<_>>().await.is_ok(),
-                Err(_) => false,
-            };
-            assert!(!left, "the artifact of epoch {epoch} is still there");
+            let blobs = &self.jobs.0.blobs;
+            let artifact = blobs.artifact(id, epoch, "lod-0.glb", 1);
+            assert!(!is_there(&artifact).await, "the artifact of epoch {epoch} is still there");
+            for n in 0..2 {
+                let piece = blobs.piece(id, epoch, n, 1);
+                assert!(!is_there(&piece).await, "a piece of epoch {epoch} is still there");
+            }
         }
         self.check_log(id).await;
     }
@@ -368,6 +373,13 @@ impl Actors {
         jobs.put_mesh(LOCAL, announced(), unwanted()).await.unwrap();
         assert!(jobs.0.blobs.has_mesh(&mesh.hash).await.unwrap());
         assert_eq!(jobs.0.blobs.jobs().await.unwrap(), [id.to_owned()]);
-        assert_eq!(jobs.list(None, &[], None, 10).await.unwrap().len(), 1);
+        assert_eq!(jobs.list(&Filter::default(), None, 10).await.unwrap().len(), 1);
+    }
+}
+
+async fn is_there(blob: &Blob) -> bool {
+    match blob.read(0, 1).await {
+        Ok(chunks) => chunks.try_collect::<Vec<_>>().await.is_ok(),
+        Err(_) => false,
     }
 }

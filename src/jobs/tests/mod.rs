@@ -29,7 +29,7 @@ use super::{
     principal::LOCAL,
     spec::Spec,
     state::State,
-    store::{Address, Artifact, NewJob, Outcome},
+    store::{Address, Artifact, Filter, NewJob, Outcome},
     *,
 };
 
@@ -122,6 +122,7 @@ async fn new_job(jobs: &Jobs, request_id: &str) -> NewJob {
         file_name,
         spec: Spec::new(vec![5]),
         priority: 0,
+        labels: std::collections::BTreeMap::default(),
         webhook: String::new(),
     }
 }
@@ -332,6 +333,7 @@ async fn requests_are_idempotent_and_checked_as_a_whole(home: Home) {
         file_name: "a/b".into(),
         spec: Spec::new(vec![]),
         priority: 0,
+        labels: std::collections::BTreeMap::default(),
         webhook: String::new(),
     };
     let Err(Error::Invalid(faults)) = jobs.create(bad, vec![]).await else { panic!("accepted") };

@@ -178,7 +178,7 @@ impl Walk {
     }
 
     async fn check(&self) {
-        let listed = self.jobs.list(None, &[], None, 1000).await.unwrap();
+        let listed = self.jobs.list(&Filter::default(), None, 1000).await.unwrap();
         assert_eq!(listed.len(), self.model.len());
         for job in listed {
             let appended = job.appended;
@@ -226,8 +226,9 @@ async fn read_pages(home: Home, n_before: usize, sizes: &[(u32, usize)]) {
         wanted.insert(0, jobs.create(new.clone(), vec![]).await.unwrap().id);
     }
     let (mut before, mut seen) = (None, Vec::new());
+    let waiting = Filter { states: vec![State::Queued], ..Filter::default() };
     for &(size, n_inserted) in sizes.iter().cycle().take(40) {
-        let page = jobs.list(None, &[State::Queued], before, size).await.unwrap();
+        let page = jobs.list(&waiting, before, size).await.unwrap();
         before = page.last().map(|job| job.n).or(before);
         seen.extend(page.into_iter().map(|job| job.id));
         for _ in 0..n_inserted {

@@ -12,9 +12,10 @@ use super::{
 };
 use crate::jobs::{
     blobs::is_safe_name,
+    labels,
     lease::Lease,
     state::State,
-    store::{Artifact, Attempt, Job, Outcome, Service, Worker},
+    store::{Artifact, Attempt, Filter, Job, Outcome, Service, Worker},
 };
 
 pub use event::{event_from_wire, event_to_wire, report_from_wire, report_to_wire};
@@ -39,6 +40,27 @@ pub fn state_from_wire(wire: i32) -> Option<State> {
     STATES.iter().find(|(state, _)| *state as i32 == wire).map(|(_, ours)| *ours)
 }
 
+/// Which jobs a list asks for.
+pub(super) fn filter_from_wire(request: &v1::ListJobsRequest) -> Result<Filter, Status> {
+    let unknown = |state| format!("{state} is no state that a job can be in");
+    let state = |&state: &i32| {
+        state_from_wire(state).ok_or_else(|| status::invalid("states", unknown(state)))
+    };
+    let label = |text: &String| labels::parse(text).map_err(|text| status::invalid("labels", text));
+    if request.labels.len() > labels::MOST {
+        let text =
+            format!("{} labels: no job has more than {}", request.labels.len(), labels::MOST);
+        return Err(status::invalid("labels", text));
+    }
+    let time = |time: &Option<Timestamp>| time.as_ref().map(time_from_wire);
+    Ok(Filter {
+        owner: Some(request.owner.clone()).filter(|owner| !owner.is_empty()),
+        states: request.states.iter().map(state).collect::<Result<_, _>>()?,
+        labels: request.labels.iter().map(label).collect::<Result<_, _>>()?,
+        created_ms: (time(&request.create_time_from), time(&request.create_time_until)),
+    })
+}
+
 /// A job on the wire.
 pub fn job_to_wire(job: &Job) -> v1::Job {
     let (reason, text) = job.failure.clone();
@@ -61,6 +83,7 @@ pub fn job_to_wire(job: &Job) -> v1::Job {
         owner: job.owner.clone(),
         pinned: job.pinned,
         priority: job.priority,
+        labels: job.labels.clone().into_iter().collect(),
         results_removed: job.results_removed,
     }
 }

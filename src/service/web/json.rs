@@ -179,10 +179,16 @@ mod tests {
             page_token: "a+b".into(),
             states: vec![v1::JobState::Queued.into(), v1::JobState::Failed.into()],
             owner: "Ännchen".into(),
+            labels: vec!["batch=7".into(), "kind=tree".into()],
+            create_time_from: Some(prost_types::Timestamp { seconds: 1_700_000_000, nanos: 0 }),
+            create_time_until: None,
         };
         let states = "states=JOB_STATE_QUEUED&states=JOB_STATE_FAILED";
         for names in ["page_size=7&page_token=", "pageSize=7&pageToken="] {
-            let query = format!("{names}a%2Bb&{states}&owner=%C3%84nnchen");
+            let query = format!(
+                "{names}a%2Bb&{states}&owner=%C3%84nnchen&labels=batch%3D7&labels=kind%3Dtree\
+                 &create_time_from=2023-11-14T22:13:20Z"
+            );
             assert_eq!(list(&query), Ok(wanted.clone()), "{query}");
         }
         for (bad, fault) in [
@@ -190,6 +196,7 @@ mod tests {
             ("page_size=-1", "invalid"),
             ("states=NONE", "NONE"),
             ("owner=a&owner=b", "given twice"),
+            ("create_time_from=yesterday", "yesterday"),
             ("colour=red", "page_size, page_token, states, owner"),
         ] {
             let found = list(bad).unwrap_err();

@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 import time
 import uuid
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -78,13 +78,15 @@ class Client:
         *,
         file_name: str | None = None,
         request_id: str | None = None,
+        labels: Mapping[str, str] | None = None,
         progress: bool = True,
         **options: Any,
     ) -> Run:
         """Uploads `model`, creates a job for levels of `triangles` each, and follows it.
 
         The model is a trimesh object, a path, or bytes with their `file_name`. `request_id` names
-        this request: the same again finds the job it made. Levels may be given by `ratios` (shares
+        this request: the same again finds the job it made; `labels` are what to call the job by (see
+        `jobs`). Levels may be given by `ratios` (shares
         of the model's triangles), `max_d2`, `screen_size` (pixels) or `max_bytes` as well or instead,
         one value a level. Other keywords are the fields of SimplifySpec and RenderSpec, such as
         method="image", effort="fast", lock="border", n_views=20, seed=0, and those of Optimization
@@ -94,7 +96,7 @@ class Client:
         work = spec.simplify_spec(triangles, **options)
         source = models.source(model, file_name)
         mesh = self.upload(source)
-        job = self.create(mesh, source.file_name, work, request_id=request_id)
+        job = self.create(mesh, source.file_name, work, request_id=request_id, labels=labels)
         like = trimesh.Trimesh if isinstance(model, trimesh.Trimesh) else trimesh.Scene
         return Run(self, job.name, progress=progress, like=like)
 
@@ -106,6 +108,7 @@ class Client:
         file_name: str | None = None,
         simplified_file_name: str | None = None,
         request_id: str | None = None,
+        labels: Mapping[str, str] | None = None,
         progress: bool = True,
         **options: Any,
     ) -> Run:
@@ -119,7 +122,7 @@ class Client:
         crude = models.source(simplified, simplified_file_name)
         mesh = self.upload(source)
         work = spec.optimize_spec(self.upload(crude), crude.file_name, **options)
-        job = self.create(mesh, source.file_name, work, request_id=request_id)
+        job = self.create(mesh, source.file_name, work, request_id=request_id, labels=labels)
         like = trimesh.Trimesh if isinstance(simplified, trimesh.Trimesh) else trimesh.Scene
         return Run(self, job.name, progress=progress, like=like)
 
@@ -162,8 +165,9 @@ class Client:
         work: spec.Work,
         *,
         request_id: str | None = None,
+        labels: Mapping[str, str] | None = None,
     ) -> job_pb2.Job:
-        """Queues a job for an uploaded mesh."""
+        """Queues a job for an uploaded mesh; `labels` are what to call it by, to find it again."""
         is_simplify = isinstance(work, spec_pb2.SimplifySpec)
         kind: Any = {"simplify" if is_simplify else "optimize": work}
         request = api.CreateJobRequest(
@@ -171,6 +175,7 @@ class Client:
             mesh=mesh,
             file_name=file_name,
             spec=spec_pb2.JobSpec(**kind),
+            labels=labels or {},
         )
         return self._call(lambda: self._stub.CreateJob(request)).job
 
@@ -183,11 +188,15 @@ class Client:
         request = api.GetJobRequest(name=_job_name(job))
         return self._call(lambda: self._stub.GetJob(request)).job
 
-    def jobs(self, *states: str) -> Iterator[job_pb2.Job]:
-        """All jobs in one of `states` ("queued", "running", ...; none means all), newest first."""
+    def jobs(
+        self, *states: str, labels: Mapping[str, str] | None = None
+    ) -> Iterator[job_pb2.Job]:
+        """All jobs in one of `states` ("queued", "running", ...; none means all) that have all of
+        `labels`, newest first."""
         kind = job_pb2.JobState.DESCRIPTOR
         numbers: Any = [spec.enum_value(kind, state) for state in states]
-        request = api.ListJobsRequest(states=numbers)
+        wanted = [f"{key}={value}" for key, value in (labels or {}).items()]
+        request = api.ListJobsRequest(states=numbers, labels=wanted)
         while True:
             page = self._call(lambda: self._stub.ListJobs(request))
             yield from page.jobs
