@@ -308,6 +308,7 @@ mod tests {
             spec,
             priority: 0,
             webhook: String::new(),
+            trace: String::new(),
         };
         jobs.create(new, vec![]).await.unwrap();
         jobs.close().await;

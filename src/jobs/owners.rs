@@ -190,6 +190,7 @@ mod tests {
             spec,
             priority: 0,
             webhook: String::new(),
+            trace: String::new(),
         }
     }
 

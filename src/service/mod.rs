@@ -12,6 +12,7 @@ pub mod accept;
 pub mod auth;
 pub mod client;
 pub mod convert;
+pub mod job_trace;
 pub mod observe;
 pub mod proto;
 pub mod server;
@@ -22,5 +23,6 @@ pub mod webhook;
 
 mod api;
 mod call_name;
+mod call_span;
 mod transfer;
 mod worker_api;

@@ -123,6 +123,7 @@ async fn new_job(jobs: &Jobs, request_id: &str) -> NewJob {
         spec: Spec::new(vec![5]),
         priority: 0,
         webhook: String::new(),
+        trace: String::new(),
     }
 }
 
@@ -333,6 +334,7 @@ async fn requests_are_idempotent_and_checked_as_a_whole(home: Home) {
         spec: Spec::new(vec![]),
         priority: 0,
         webhook: String::new(),
+        trace: String::new(),
     };
     let Err(Error::Invalid(faults)) = jobs.create(bad, vec![]).await else { panic!("accepted") };
     let fields: Vec<_> = faults.iter().map(|fault| fault.field.as_str()).collect();

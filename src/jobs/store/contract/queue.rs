@@ -20,7 +20,7 @@ in_homes! { [on_sqlite on_postgres] [
 async fn claim_on(store: &Store, host: &str, terms: &Terms) -> Result<Option<(Job, Lease)>> {
     let worker = format!("{host}-{}", uuid::Uuid::new_v4().simple());
     let who = Claimant { worker: worker.clone(), host: host.into(), version: "1.2.3".into() };
-    let job = store.claim(&who, terms).await?;
+    let job = store.claim(&who, terms).await?.job?;
     Ok(job.map(|job| {
         let lease = Lease { job: job.id.clone(), epoch: job.epoch, worker };
         (job, lease)
