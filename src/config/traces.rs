@@ -57,7 +57,8 @@ mod tests {
     #[test]
     fn flags_win_over_the_standard_variables() {
         let [traces, all] = VARIABLES;
-        let table: [(Option<&str>, &[(&str, &str)], Option<&str>); 6] = [
+        type Case<'a> = (Option<&'a str>, &'a [(&'a str, &'a str)], Option<&'a str>);
+        let table: [Case<'_>; 6] = [
             (None, &[], None),
             (Some(""), &[(all, "")], None),
             (None, &[(all, "http://a:4317")], Some("http://a:4317")),

@@ -24,7 +24,7 @@ use opentelemetry_sdk::{
 };
 use tokio::{
     sync::mpsc,
-    task::JoinHandle,
+    task::JoinSet,
     time::{sleep, timeout},
 };
 use tokio_util::sync::CancellationToken;
@@ -77,15 +77,15 @@ impl fmt::Debug for Spans {
 #[derive(Debug)]
 pub struct Export {
     stop: CancellationToken,
-    task: JoinHandle<()>,
+    /// Ends with this.
+    task: JoinSet<()>,
 }
 
 impl Export {
     /// Sends what is in the queue, for so long at most.
     pub async fn finish(mut self, patience: Duration) {
         self.stop.cancel();
-        if timeout(patience, &mut self.task).await.is_err() {
-            self.task.abort();
+        if timeout(patience, self.task.join_next()).await.is_err() {
             tracing::warn!("the last spans are lost: the collector does not answer in time");
         }
     }
@@ -106,7 +106,8 @@ pub fn export_to(endpoint: &str) -> Result<(Spans, Export), ExporterBuildError> 
     let (send, spans) = mpsc::channel(QUEUE);
     let stop = CancellationToken::new();
     let sender = Sender { exporter, scope: scope(), endpoint: endpoint.into(), warned: None };
-    let task = tokio::spawn(sender.run(spans, stop.clone()));
+    let mut task = JoinSet::new();
+    task.spawn(sender.run(spans, stop.clone()));
     Ok((Spans(Some(send)), Export { stop, task }))
 }
 
