@@ -31,6 +31,8 @@ use crate::{
 const AHEAD: usize = 1024;
 /// Entries of a log read at once.
 const PAGE: u32 = 1000;
+/// Stages of an attempt that are told apart: workers may say anything.
+const MAX_STAGES: usize = 256;
 /// Attempts that end so are as wanted.
 const IN_PEACE: [&str; 4] = ["COMPLETED", "CANCELLED", "RELEASED", "PREEMPTED"];
 
@@ -254,7 +256,8 @@ impl Attempt {
         let is_same = |stage: &&mut Stage| {
             stage.name == name && (stage.level.is_none() || level.is_none() || stage.level == level)
         };
-        if let Some(same) = self.stages.last_mut().filter(is_same) {
+        let has_room = self.stages.len() < MAX_STAGES;
+        if let Some(same) = self.stages.last_mut().filter(|stage| !has_room || is_same(stage)) {
             same.level = same.level.or(level);
             return;
         }

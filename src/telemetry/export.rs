@@ -211,3 +211,52 @@ fn on_wire(span: Span, scope: &InstrumentationScope) -> SpanData {
         instrumentation_scope: scope.clone(),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::time::SystemTime;
+
+    use super::*;
+    use crate::telemetry::trace::TraceContext;
+
+    fn span(is_sampled: bool) -> Span {
+        let now = SystemTime::now();
+        let at = TraceContext { is_sampled, ..TraceContext::below(None) };
+        let (name, attributes) = ("x".into(), Vec::new());
+        Span {
+            at,
+            parent: None,
+            is_call: false,
+            name,
+            start: now,
+            end: now,
+            attributes,
+            error: None,
+        }
+    }
+
+    #[tokio::test]
+    async fn nobody_waits_for_a_collector() {
+        let recorder = metrics_exporter_prometheus::PrometheusBuilder::new().build_recorder();
+        for endpoint in ["http://127.0.0.1:1", "https://127.0.0.1:1"] {
+            let (spans, export) = export_to(endpoint).unwrap();
+            // The task has not had its turn yet.
+            metrics::with_local_recorder(&recorder, || {
+                (0..QUEUE + 3).for_each(|_| spans.send(span(true)));
+                spans.send(span(false));
+            });
+            let start = Instant::now();
+            export.finish(Duration::from_millis(200)).await;
+            assert!(start.elapsed() < Duration::from_secs(5));
+        }
+        let page = recorder.handle().render();
+        assert!(page.contains("lookalike_spans_total{outcome=\"LOST\"} 6"), "{page}");
+    }
+
+    #[test]
+    fn without_a_collector_nothing_is_kept() {
+        let spans = Spans::default();
+        spans.send(span(true));
+        assert!(!spans.is_on());
+    }
+}

@@ -2,4 +2,4 @@
 ALTER TABLE jobs ADD COLUMN trace TEXT NOT NULL DEFAULT '';
 
 -- How many jobs wait, and since when: answered from the index alone.
-CREATE INDEX jobs_queue ON jobs (owner, priority, queued_ms) WHERE state = 'QUEUED';
+CREATE INDEX jobs_queue ON jobs (state, priority, owner, queued_ms) WHERE state = 'QUEUED';

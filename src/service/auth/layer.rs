@@ -164,7 +164,7 @@ where
             let status = refusal.status();
             gate.note(who.as_ref(), &peer, &path, "", status.code()).await;
             let mut response = status.into_http();
-            if let Some(who) = who {
+            if let Some(who) = who.filter(|_| gate.spans.is_on()) {
                 response.extensions_mut().insert(Call::of(who, None));
             }
             return Ok(response);
@@ -178,7 +178,9 @@ where
     let mut response = explained(inner.call(request).await?);
     let code = Status::from_header_map(response.headers()).map_or(Code::Ok, |s| s.code());
     gate.answered(method, &call, &peer, &path, code).await;
-    response.extensions_mut().insert(call);
+    if gate.spans.is_on() {
+        response.extensions_mut().insert(call);
+    }
     Ok(held(response, admitted.stream))
 }
 
