@@ -30,6 +30,7 @@ async fn fill(store: &Store, owner: &str, from: usize, to: usize) {
             priority: 0,
             labels: std::collections::BTreeMap::default(),
             webhook: String::new(),
+            trace: String::new(),
         };
         let id = format!("{owner}{i}");
         store.create(&id, &new, &Limits::default()).await.expect("a job");
@@ -37,7 +38,8 @@ async fn fill(store: &Store, owner: &str, from: usize, to: usize) {
 }
 
 async fn claim_and_hand_back(store: &Store) {
-    let job = store.claim("w", &Terms::default()).await.expect("a claim").expect("a job");
+    let job = store.claim("w", &Terms::default()).await.expect("a claim").job;
+    let job = job.expect("no refusal").expect("a job");
     let lease = Lease { job: job.id, epoch: job.epoch, worker: "w".into() };
     store.complete(&lease, &Outcome::Released(String::new()), 3).await.expect("an end");
 }

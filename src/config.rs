@@ -9,6 +9,7 @@ use std::{
 
 mod guard;
 mod settings;
+mod traces;
 mod webhooks;
 
 use clap::Args;
@@ -20,6 +21,7 @@ use lookalike::{
 pub(crate) use self::{guard::Port, settings::Settings};
 use self::{
     guard::{Guard, GuardArgs},
+    traces::TraceArgs,
     webhooks::WebhookArgs,
 };
 
@@ -105,6 +107,8 @@ pub(crate) struct ServeArgs {
     pub(crate) guard: GuardArgs,
     #[command(flatten)]
     webhooks: WebhookArgs,
+    #[command(flatten)]
+    traces: TraceArgs,
 }
 
 /// Where jobs and bytes are kept when not in the data directory.
@@ -151,6 +155,7 @@ pub(crate) struct ServeConfig {
     pub(crate) limits: Limits,
     pub(crate) guard: Guard,
     pub(crate) webhooks: WebhookRules,
+    pub(crate) otlp_endpoint: Option<String>,
     pub(crate) worker_memory_mib: u64,
     pub(crate) worker_cpu_secs: u64,
     pub(crate) drain: Duration,
@@ -188,6 +193,7 @@ impl ServeArgs {
             }
         }
         let webhooks = self.webhooks.check(&mut faults);
+        let otlp_endpoint = self.traces.check(|name| std::env::var(name).ok(), &mut faults);
         let places = self.stores.places(&self.data_dir, &mut faults);
         if !faults.is_empty() {
             return Err(faults);
@@ -218,6 +224,7 @@ impl ServeArgs {
             },
             guard,
             webhooks,
+            otlp_endpoint,
             worker_memory_mib: self.worker_memory_mib,
             worker_cpu_secs: self.worker_cpu_secs,
             drain,
@@ -280,9 +287,10 @@ mod tests {
             "--objects=farm",
             "--webhook-secret=whsec_hush",
             "--webhook-url=http://hooks.test/",
+            "--otlp-endpoint=http://u:hush@collector.test/",
         ]);
         let faults = faults.unwrap_err();
-        assert_eq!(faults.len(), 10, "{faults:#?}");
+        assert_eq!(faults.len(), 11, "{faults:#?}");
         assert!(!faults.concat().contains("hush"), "{faults:#?}");
         assert!(faults[0].contains("give --tls-cert, --tls-key and --tokens"));
     }

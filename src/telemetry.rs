@@ -1,6 +1,9 @@
-//! Logs and metrics: set up once, by `main`, and the page that Prometheus reads.
+//! Logs, metrics and traces: set up once, by `main`; the page that Prometheus reads, and what goes to a collector.
 //!
-//! Everything else only uses the `tracing` and `metrics` facades.
+//! Everything else only uses the `tracing` and `metrics` facades, and hands over [`Span`](trace::Span)s.
+
+mod export;
+pub mod trace;
 
 use std::{
     io::{self, IsTerminal},
@@ -14,6 +17,8 @@ use metrics_exporter_prometheus::{BuildError, PrometheusBuilder, PrometheusHandl
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 use tracing_subscriber::EnvFilter;
+
+pub use export::{Export, Spans, export_to};
 
 /// Sends logs to standard error: everything from `level` on, unless `filter` (the syntax of
 /// `RUST_LOG`) says otherwise. A second call changes nothing.
@@ -35,8 +40,8 @@ pub fn install_metrics() -> Result<PrometheusHandle, BuildError> {
     PrometheusBuilder::new().install_recorder()
 }
 
-/// Brings the metrics up to date; its error is shown to whoever asks for them.
-pub type Refresh = Arc<dyn Fn() -> BoxFuture<'static, Result<(), String>> + Send + Sync>;
+/// Brings the metrics up to date, and says what the page has more of them; its error is shown to whoever asks for them.
+pub type Refresh = Arc<dyn Fn() -> BoxFuture<'static, Result<String, String>> + Send + Sync>;
 
 /// Serves `/metrics` (calling `refresh` before each page), `/healthz` (the process lives) and
 /// `/readyz` (the store answers) until `shutdown`.
@@ -50,15 +55,15 @@ pub fn serve_metrics(
     let ready = Arc::clone(&refresh);
     let metrics = move || async move {
         match refresh().await {
-            Ok(()) => {
+            Ok(more) => {
                 let kind = [(CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")];
-                Ok((kind, page.render()))
+                Ok((kind, page.render() + &more))
             }
             Err(text) => Err((StatusCode::SERVICE_UNAVAILABLE, text)),
         }
     };
     let readyz = move || async move {
-        ready().await.map(|()| "ready\n").map_err(|text| (StatusCode::SERVICE_UNAVAILABLE, text))
+        ready().await.map(|_| "ready\n").map_err(|text| (StatusCode::SERVICE_UNAVAILABLE, text))
     };
     let router = Router::new()
         .route("/metrics", get(metrics))

@@ -46,7 +46,7 @@ const MAY_IMPORT: [(&str, &[&str]); 19] = [
             "tape",
         ],
     ),
-    ("service", &["jobs"]),
+    ("service", &["jobs", "telemetry"]),
     ("telemetry", &[]),
     ("config", &["jobs", "service"]),
     (
@@ -75,7 +75,7 @@ const MAY_IMPORT: [(&str, &[&str]); 19] = [
 
 /// External crate → the only modules that may name it. Wire stubs live in `service`; the worker
 /// speaks to a server through them, and the command line is a client.
-const SOLE_OWNERS: [(&str, &[&str]); 24] = [
+const SOLE_OWNERS: [(&str, &[&str]); 27] = [
     ("basisu", &["io"]),
     ("draco_core", &["io"]),
     ("gltf", &["io"]),
@@ -89,6 +89,9 @@ const SOLE_OWNERS: [(&str, &[&str]); 24] = [
     ("sqlx", &["jobs"]),
     ("object_store", &["jobs"]),
     ("axum", &["telemetry"]),
+    ("opentelemetry", &["telemetry"]),
+    ("opentelemetry_otlp", &["telemetry"]),
+    ("opentelemetry_sdk", &["telemetry"]),
     ("tonic", &["service", "worker", "cli"]),
     ("prost", &["service", "worker", "cli"]),
     ("prost_reflect", &["service"]),

@@ -11,12 +11,13 @@ use lookalike::{
     service::{
         accept::{self, Listeners},
         auth::Gate,
-        observe::Observer,
+        job_trace::trace_jobs,
+        observe::{Observer, queue_page},
         server::{self, Doors},
         tls::ServerTls,
         webhook,
     },
-    telemetry,
+    telemetry::{self, Export, Spans},
     worker::supervisor::Crew,
 };
 use tokio_util::sync::CancellationToken;
@@ -33,6 +34,8 @@ const SWEEP: Duration = Duration::from_secs(1);
 const TIDY: Duration = Duration::from_secs(60);
 /// What open calls get to finish once the workers have ended.
 const GRACE: Duration = Duration::from_secs(3);
+/// What a collector gets to take the last spans.
+const LAST_SPANS: Duration = Duration::from_secs(2);
 
 pub(crate) async fn run(args: ServeArgs) -> Result<(), Failure> {
     let config = args.check().map_err(|faults| Failure::faults(&faults))?;
@@ -60,12 +63,14 @@ pub(crate) async fn run(args: ServeArgs) -> Result<(), Failure> {
     let listeners = Listeners { tcp, tls, crowding, unix };
     tracing::info!(%address, metrics = %config.metrics_listen, data_dir = %config.places.data_dir.display(), "ready");
 
-    let observer = Arc::new(Observer::new());
+    let (spans, export) = export(config.otlp_endpoint.as_deref())?;
     let (stop_workers, stop_serving) = (CancellationToken::new(), CancellationToken::new());
+    let (traces, job_spans) = trace_jobs(jobs.clone(), spans.clone(), stop_serving.clone());
+    let observer = Arc::new(Observer::new(traces));
     let refresh = refresh(jobs.clone(), Arc::clone(&observer));
     let observing = Arc::clone(&observer);
     let (origins, webhooks) = (config.guard.origins.clone(), config.webhooks.clone());
-    let doors = Doors { gate, origins, webhooks: webhooks.clone() };
+    let doors = Doors { gate, origins, webhooks: webhooks.clone(), spans };
     let grpc = server::serve(listeners, doors, jobs.clone(), observing, stop_serving.clone());
     let calls = Box::pin(webhook::run(jobs.clone(), webhooks, stop_serving.clone()));
     let http = telemetry::serve_metrics(metrics, page, refresh, stop_serving.clone());
@@ -85,6 +90,10 @@ pub(crate) async fn run(args: ServeArgs) -> Result<(), Failure> {
             workers,
             sweep(&jobs, &observer, config.terms.lease, &stop_serving),
             tidy(&jobs, &stop_serving),
+            async {
+                job_spans.await;
+                Ok(())
+            },
         )
     };
     tokio::select! {
@@ -94,8 +103,20 @@ pub(crate) async fn run(args: ServeArgs) -> Result<(), Failure> {
         }
     }
     jobs.close().await;
+    if let Some(export) = export {
+        export.finish(LAST_SPANS).await;
+    }
     tracing::info!("ended");
     Ok(())
+}
+
+/// Where spans go, and the task that sends them.
+fn export(endpoint: Option<&str>) -> anyhow::Result<(Spans, Option<Export>)> {
+    let Some(endpoint) = endpoint else { return Ok((Spans::default(), None)) };
+    let exported = telemetry::export_to(endpoint).context("traces cannot be exported");
+    let (spans, export) = exported.context("see --otlp-endpoint and the OTEL_* variables")?;
+    tracing::info!(endpoint, "traces are exported");
+    Ok((spans, Some(export)))
 }
 
 /// Says which ports anybody can reach.
@@ -185,7 +206,8 @@ fn refresh(jobs: Jobs, observer: Arc<Observer>) -> telemetry::Refresh {
             let counts = jobs.counts().await.map_err(|error| error.to_string())?;
             observer.depth(&counts);
             observer.fleet(&jobs.workers().await.map_err(|error| error.to_string())?);
-            Ok(())
+            let queue = jobs.queue().await.map_err(|error| error.to_string())?;
+            Ok(queue_page(&queue))
         })
     })
 }

@@ -18,7 +18,7 @@ use super::{
     points::{Point, pass},
     segment,
     state::State,
-    store::{Appended, Artifact, Attempt, Job, Outcome, Piece, Worker},
+    store::{Appended, Artifact, Attempt, Job, Outcome, Piece, Waiting, Worker},
 };
 
 /// The queue is looked at this often even when nobody calls.
@@ -33,7 +33,9 @@ impl Jobs {
         let deadline = Instant::now() + wait;
         let mut queue = self.0.signals.watch_queue();
         loop {
-            if let Some(job) = self.0.store.claim(&who, &self.0.terms).await? {
+            let claimed = self.0.store.claim(&who, &self.0.terms).await?;
+            self.note_lost(claimed.abandoned);
+            if let Some(job) = claimed.job? {
                 pass(Point::ClaimCommitted);
                 self.0.signals.log_grew(&job.id);
                 return Ok(Some(job));
@@ -45,6 +47,11 @@ impl Jobs {
             // Time out or not: look again.
             let _ = timeout(left.min(POLL), queue.changed()).await;
         }
+    }
+
+    /// Which jobs wait, and since when, by owner and priority.
+    pub async fn queue(&self) -> Result<Vec<Waiting>> {
+        self.0.store.queue().await
     }
 
     /// Extends a lease; what the worker should do.

@@ -303,6 +303,7 @@ mod tests {
             priority: 0,
             labels: labels::Labels::new(),
             webhook: String::new(),
+            trace: String::new(),
         };
         jobs.create(new, vec![]).await.unwrap();
         jobs.close().await;

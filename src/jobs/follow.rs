@@ -54,6 +54,14 @@ impl Jobs {
     }
 }
 
+impl Jobs {
+    /// At most `limit` entries of a log after `after_seq`, in order, without the bytes of records.
+    pub async fn entries(&self, id: &str, after_seq: u64, limit: u32) -> Result<Vec<Event>> {
+        let page = self.0.store.events(id, after_seq, limit).await?;
+        Ok(page.into_iter().map(|stored| stored.event).collect())
+    }
+}
+
 impl Follower {
     async fn next(&mut self) -> Result<Option<Event>> {
         while self.page.is_empty() && !self.ended {

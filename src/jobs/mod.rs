@@ -45,7 +45,7 @@ pub use places::Places;
 use std::{
     fs::{self, File, TryLockError},
     path::{Path, PathBuf},
-    sync::Arc,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
     time::{Duration, SystemTime},
 };
 
@@ -116,6 +116,8 @@ struct Inner {
     /// Pass signals on between servers, and entries of the audit table to it.
     _couriers: JoinSet<()>,
     turns: Turns,
+    /// Jobs whose attempts were lost while nobody asked for them.
+    lost: Mutex<Vec<Job>>,
     terms: Terms,
     limits: Limits,
     workers: PathBuf,
@@ -145,6 +147,7 @@ impl Jobs {
             ledger,
             _couriers: couriers,
             turns: Turns::default(),
+            lost: Mutex::default(),
             terms,
             limits,
             workers,
@@ -181,15 +184,18 @@ impl Jobs {
     }
 
     /// Takes away every lease that ran out, or whose holder's process ended (nobody waits for the
-    /// workers of an earlier server). To be called now and then; the jobs concerned.
+    /// workers of an earlier server). To be called now and then; the jobs concerned, and those that were lost since by a
+    /// start or a claim.
     pub async fn sweep_leases(&self) -> Result<Vec<Job>> {
-        let lost = self.0.store.lose_expired(self.0.terms.max_lost).await?;
-        let mut lost = self.announce(lost);
+        let expired = self.0.store.lose_expired(self.0.terms.max_lost).await?;
+        self.note_lost(expired);
         for worker in self.0.store.lease_holders().await? {
             if is_alive(&self.worker_lock(&worker)) == Some(false) {
-                lost.extend(self.worker_gone(&worker).await?);
+                let gone = self.worker_gone(&worker).await?;
+                self.lost().extend(gone);
             }
         }
+        let lost = std::mem::take(&mut *self.lost());
         self.forget_checkpoints(&lost).await?;
         Ok(lost)
     }
@@ -220,7 +226,8 @@ impl Jobs {
     async fn recover(&self) -> Result<()> {
         for worker in self.0.store.lease_holders().await? {
             if is_alive(&self.worker_lock(&worker)) == Some(false) {
-                self.lose_worker(&worker, Loss::ServerRestarted).await?;
+                let lost = self.lose_worker(&worker, Loss::ServerRestarted).await?;
+                self.lost().extend(lost);
             } else {
                 self.0.store.renew(&worker, &self.0.terms).await?;
             }
@@ -265,6 +272,16 @@ impl Jobs {
     async fn lose_worker(&self, worker: &str, loss: Loss) -> Result<Vec<Job>> {
         let lost = self.0.store.lose_worker(worker, loss, self.0.terms.max_lost).await?;
         Ok(self.announce(lost))
+    }
+
+    fn lost(&self) -> MutexGuard<'_, Vec<Job>> {
+        self.0.lost.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Keeps what was lost beside something else until [`Self::sweep_leases`] tells of it.
+    fn note_lost(&self, jobs: Vec<Job>) {
+        let jobs = self.announce(jobs);
+        self.lost().extend(jobs);
     }
 
     /// Removes the checkpoints of those that ended.

@@ -187,6 +187,7 @@ mod tests {
             priority: 0,
             labels: Labels::new(),
             webhook: String::new(),
+            trace: String::new(),
         }
     }
 

@@ -9,7 +9,13 @@ use tokio_util::sync::CancellationToken;
 use tonic::{Request, Response, Status, Streaming};
 
 use super::{
-    auth::call_of, convert, observe::Observer, proto::v1, status, status::status_of, transfer,
+    auth::call_of,
+    convert,
+    observe::{self, Observer},
+    proto::v1,
+    status,
+    status::status_of,
+    transfer,
     webhook::WebhookRules,
 };
 use crate::jobs::{
@@ -59,7 +65,7 @@ impl v1::lookalike_service_server::LookalikeService for Api {
             let v1::UploadMeshHeader { size, blake3: hash, upload_id: upload, offset } = header;
             let announced = Announced { size, hash, upload, offset };
             let put = |chunks| desk.put_mesh(announced, chunks);
-            transfer::receive(parts, mesh_chunk, put).await?
+            transfer::receive("mesh", parts, mesh_chunk, put).await?
         };
         tracing::info!(mesh = mesh.hash, bytes = mesh.size, existed = mesh.existed, "mesh stored");
         let StoredMesh { hash, size, existed } = mesh;
@@ -102,6 +108,7 @@ impl v1::lookalike_service_server::LookalikeService for Api {
             priority: request.priority,
             labels: request.labels.into_iter().collect(),
             webhook: self.webhooks.url_for(request.webhook_url),
+            trace: call.trace.map(|at| at.to_string()).unwrap_or_default(),
         };
         let spec = new.spec.clone();
         let on_wire = |mut error: Error| {
@@ -299,7 +306,8 @@ impl v1::lookalike_service_server::LookalikeService for Api {
             artifact: Some(convert::artifact_to_wire(&id, &artifact)),
             data: Bytes::new(),
         };
-        let body = bytes.map_ok(|data| v1::ReadArtifactResponse { artifact: None, data });
+        let body = observe::sent("artifact", bytes)
+            .map_ok(|data| v1::ReadArtifactResponse { artifact: None, data });
         let answers = stream::iter([Ok(head)]).chain(body.map_err(|e| status_of(&e)));
         Ok(Response::new(until(answers, self.shutdown.clone())))
     }

@@ -13,6 +13,7 @@ pub mod auth;
 pub mod client;
 pub mod convert;
 pub mod crowd;
+pub mod job_trace;
 pub mod observe;
 pub mod proto;
 pub mod server;
@@ -23,6 +24,7 @@ pub mod webhook;
 
 mod api;
 mod call_name;
+mod call_span;
 mod pace;
 mod transfer;
 mod worker_api;

@@ -1,15 +1,20 @@
-//! What the server counts: claims, losses, evaluations, stage times, energy.
+//! What the server counts: the queue, claims, losses, evaluations, stage times, energy, bytes.
 //!
 //! Workers report running totals; this turns them into counters. Batches that are sent again are
 //! recognised by their index and not counted twice. A lost attempt's work stays counted: it was done.
+
+mod queue;
 
 use std::{
     collections::BTreeMap,
     sync::{Mutex, PoisonError},
 };
 
-use metrics::{counter, describe_counter, describe_gauge, gauge};
+use futures::{Stream, TryStreamExt};
+use metrics::{Counter, counter, describe_counter, describe_gauge, gauge};
+use prost::bytes::Bytes;
 
+use super::job_trace::JobTraces;
 use crate::jobs::{
     error::Error,
     event::{EnergySample, Report},
@@ -17,6 +22,8 @@ use crate::jobs::{
     state::State,
     store::{Job, Service, Worker},
 };
+
+pub use queue::queue_page;
 
 /// What was last heard of an attempt.
 #[derive(Debug, Default)]
@@ -32,14 +39,21 @@ struct Heard {
 #[derive(Debug, Default)]
 pub struct Observer {
     attempts: Mutex<BTreeMap<String, Heard>>,
+    traces: JobTraces,
 }
 
 impl Observer {
-    /// A new observer; describes the metrics to the recorder, if there is one.
-    pub fn new() -> Self {
+    /// A new observer, which passes on which jobs end; describes the metrics to the recorder, if there is one.
+    pub fn new(traces: JobTraces) -> Self {
         describe_gauge!("lookalike_jobs", "Jobs by state");
         describe_counter!("lookalike_claims_total", "Attempts begun");
-        describe_counter!("lookalike_lost_attempts_total", "Attempts lost");
+        describe_counter!(
+            "lookalike_lost_attempts_total",
+            "Attempts lost or handed back, by reason"
+        );
+        describe_counter!("lookalike_device_attempts_total", "Attempts by who judges pictures");
+        describe_counter!("lookalike_received_bytes_total", "Bytes received, by what they are of");
+        describe_counter!("lookalike_sent_bytes_total", "Bytes sent, by what they are of");
         describe_counter!("lookalike_quarantines_total", "Times a host was taken out of service");
         describe_gauge!("lookalike_workers", "Hosts of workers, by whether they get jobs");
         describe_counter!("lookalike_preemptions_total", "Jobs that had to make room for others");
@@ -49,7 +63,7 @@ impl Observer {
         describe_gauge!("lookalike_evaluations_per_second", "Latest rate, by stage");
         describe_gauge!("lookalike_energy", "Latest energy, sum of squared luminance differences");
         describe_gauge!("lookalike_d2_percent", "Latest d2, percent of full scale");
-        Self::default()
+        Self { traces, ..Self::default() }
     }
 
     /// An attempt began.
@@ -84,8 +98,9 @@ impl Observer {
     /// An attempt ended and its job is now as given.
     pub fn ended(&self, job: &Job) {
         self.attempts.lock().unwrap_or_else(PoisonError::into_inner).remove(&job.id);
-        if job.state == State::Queued || job.failure.0 == "POISONED" {
-            counter!("lookalike_lost_attempts_total").increment(1);
+        self.traces.ended(job);
+        if let Some(loss) = job.loss {
+            counter!("lookalike_lost_attempts_total", "reason" => loss.reason()).increment(1);
         }
         if job.state.is_final() {
             counter!("lookalike_ended_jobs_total", "state" => job.state.name()).increment(1);
@@ -117,11 +132,33 @@ impl Observer {
         let known = heard.n_events.saturating_sub(first) as usize;
         heard.n_events = heard.n_events.max(first + reports.len() as u64);
         for report in reports.iter().skip(known) {
-            if let Report::Sample(sample) = report {
-                heard.count(sample);
+            match report {
+                Report::Sample(sample) => heard.count(sample),
+                Report::Records { bytes, .. } => {
+                    received("records").increment(bytes.len() as u64);
+                }
+                Report::Note { code, text } if code == "DEVICE_CHOSEN" => {
+                    let device = text.chars().take(64).collect::<String>();
+                    counter!("lookalike_device_attempts_total", "device" => device).increment(1);
+                }
+                _ => {}
             }
         }
     }
+}
+
+/// Bytes received of meshes, artifacts, checkpoints or records.
+pub(super) fn received(what: &'static str) -> Counter {
+    counter!("lookalike_received_bytes_total", "what" => what)
+}
+
+/// Counts what goes out.
+pub(super) fn sent<E>(
+    what: &'static str,
+    bytes: impl Stream<Item = Result<Bytes, E>>,
+) -> impl Stream<Item = Result<Bytes, E>> {
+    let n_bytes = counter!("lookalike_sent_bytes_total", "what" => what);
+    bytes.inspect_ok(move |chunk| n_bytes.increment(chunk.len() as u64))
 }
 
 impl Heard {
@@ -176,7 +213,7 @@ mod tests {
         let recorder = metrics_exporter_prometheus::PrometheusBuilder::new().build_recorder();
         let page = recorder.handle();
         metrics::with_local_recorder(&recorder, || {
-            let observer = Observer::new();
+            let observer = Observer::new(JobTraces::default());
             let lease = Lease { job: "a".into(), epoch: 1, worker: "w".into() };
             observer.reported(&lease, 0, &[sample(100, 1.0), sample(300, 2.0)]);
             observer.reported(&lease, 0, &[sample(100, 1.0), sample(300, 2.0)]);

@@ -23,7 +23,7 @@ use super::{
     webhook::WebhookRules,
     worker_api::WorkerApi,
 };
-use crate::jobs::Jobs;
+use crate::{jobs::Jobs, telemetry::Spans};
 
 /// Largest message received: a batch of events with one large record chunk, and room to spare.
 pub const MAX_MESSAGE_BYTES: usize = 16 << 20;
@@ -51,6 +51,8 @@ pub struct Doors {
     pub origins: Vec<Origin>,
     /// Whom jobs may have called.
     pub webhooks: WebhookRules,
+    /// Where it is told of calls.
+    pub spans: Spans,
 }
 
 /// Serves `jobs` on `listeners`, behind `doors`, until `shutdown`, then waits for open calls. Give it a deadline from
@@ -74,9 +76,9 @@ async fn run(
     observer: Arc<Observer>,
     shutdown: CancellationToken,
 ) -> Result<(), ServeError> {
-    let Doors { gate, origins, webhooks } = doors;
+    let Doors { gate, origins, webhooks, spans } = doors;
     let web = WebLayer::new(Hosts::new(gate.asks(), &origins))?;
-    let gate = GateLayer::new(Arc::new(gate), jobs.clone());
+    let gate = GateLayer::new(Arc::new(gate), jobs.clone(), spans);
     let api = Api {
         jobs: jobs.clone(),
         shutdown: shutdown.clone(),

@@ -3,15 +3,17 @@
 use tokio::sync::mpsc;
 use tonic::{Status, Streaming, codegen::tokio_stream::StreamExt};
 
-use super::status;
+use super::{observe, status};
 use crate::jobs::error::Result;
 use prost::bytes::Bytes;
 
 /// Chunks received ahead of the disk.
 const AHEAD: usize = 8;
 
-/// Feeds the chunks of a client's stream to `put`. A stream that breaks off puts nothing.
+/// Feeds the chunks of a client's stream to `put`, and counts them as bytes of `what`. A stream that breaks off puts
+/// nothing.
 pub(super) async fn receive<M, T, F>(
+    what: &'static str,
     mut messages: Streaming<M>,
     chunk_of: fn(M) -> Option<Bytes>,
     put: impl FnOnce(mpsc::Receiver<Bytes>) -> F,
@@ -20,10 +22,12 @@ where
     F: Future<Output = Result<T>>,
 {
     let (send, receive) = mpsc::channel(AHEAD);
+    let n_bytes = observe::received(what);
     let feed = async move {
         while let Some(message) = messages.next().await {
             let chunk = chunk_of(message?);
             let chunk = chunk.ok_or_else(|| status::invalid("part", "only chunks may follow"))?;
+            n_bytes.increment(chunk.len() as u64);
             if send.send(chunk).await.is_err() {
                 // `put` gave up, and will say why.
                 break;

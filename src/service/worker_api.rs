@@ -11,7 +11,7 @@ use super::{
     api::until,
     auth::call_of,
     convert,
-    observe::Observer,
+    observe::{self, Observer},
     proto::worker::v1 as worker,
     status::{self, status_of},
     transfer,
@@ -91,7 +91,8 @@ impl worker::worker_service_server::WorkerService for WorkerApi {
         let hash = convert::mesh_hash(&request.mesh);
         let mesh = self.jobs.input(&lease, &hash).await.map_err(|e| status_of(&e))?;
         let bytes = mesh.read(0, u64::MAX).await.map_err(|e| status_of(&e))?;
-        let answers = bytes.map_ok(|data| worker::FetchMeshResponse { data });
+        let answers = observe::sent("mesh", bytes);
+        let answers = answers.map_ok(|data| worker::FetchMeshResponse { data });
         let answers = answers.map_err(|e| status_of(&e));
         Ok(Response::new(until(answers, self.shutdown.clone())))
     }
@@ -134,7 +135,7 @@ impl worker::worker_service_server::WorkerService for WorkerApi {
         };
         let (job, file) = (lease.job.clone(), artifact.file.clone());
         call.is_about(format!("jobs/{job}/artifacts/{file}"));
-        transfer::receive(parts, artifact_chunk, |chunks| {
+        transfer::receive("artifact", parts, artifact_chunk, |chunks| {
             self.jobs.put_artifact(&lease, artifact, chunks)
         })
         .await?;
@@ -155,7 +156,7 @@ impl worker::worker_service_server::WorkerService for WorkerApi {
         let lease = convert::lease_from_wire(header.lease)?;
         let announced =
             Announced { size: header.size, hash: header.blake3, ..Announced::default() };
-        transfer::receive(parts, piece_chunk, |chunks| {
+        transfer::receive("checkpoint", parts, piece_chunk, |chunks| {
             self.jobs.put_piece(&lease, (header.piece, &header.build), &announced, chunks)
         })
         .await?;
@@ -174,7 +175,7 @@ impl worker::worker_service_server::WorkerService for WorkerApi {
         let pieces = self.jobs.checkpoint(&lease).await.map_err(|e| status_of(&e))?;
         let pieces = stream::iter((0..).zip(pieces).map(Ok::<_, Error>));
         let bytes = pieces.and_then(|(piece, blob)| async move {
-            let bytes = blob.read(0, u64::MAX).await?;
+            let bytes = observe::sent("checkpoint", blob.read(0, u64::MAX).await?);
             Ok(bytes.map_ok(move |data| worker::FetchCheckpointResponse { piece, data }))
         });
         let answers = bytes.try_flatten().map_err(|e| status_of(&e));

@@ -155,9 +155,10 @@ pub fn host_name(suffix: &str) -> String {
 
 /// What workers must not find in their environment: settings that make lavapipe abort, and the ways
 /// into the database, the bucket and other servers, which are not theirs.
-const WITHHELD: [&str; 8] = [
+const WITHHELD: [&str; 9] = [
     "LP_",
     "AWS_",
+    "OTEL_",
     "PG",
     "LOOKALIKE_CONFIG",
     "LOOKALIKE_DATABASE",
@@ -189,6 +190,7 @@ mod tests {
         for withheld in [
             "LP_NATIVE_VECTOR_WIDTH",
             "AWS_SECRET_ACCESS_KEY",
+            "OTEL_EXPORTER_OTLP_HEADERS",
             "LOOKALIKE_DATABASE",
             "LOOKALIKE_TOKEN",
             "LOOKALIKE_WEBHOOK_SECRET",

@@ -318,6 +318,11 @@ async fn health_reflection_and_metrics_answer() {
         "lookalike_stage_seconds{stage=\"image\"}",
         "lookalike_evaluations_per_second",
         "lookalike_energy",
+        "lookalike_device_attempts_total{device=\"",
+        "lookalike_received_bytes_total{what=\"mesh\"}",
+        "lookalike_received_bytes_total{what=\"records\"}",
+        "lookalike_received_bytes_total{what=\"artifact\"}",
+        "lookalike_sent_bytes_total{what=\"mesh\"}",
     ] {
         assert!(page.contains(line), "{line} is not on the page:\n{page}");
     }

@@ -18,6 +18,7 @@ mod command_line;
 mod farm;
 mod files;
 mod lint;
+mod metrics;
 mod optimize;
 mod panics;
 #[path = "../stores/postgres.rs"]
@@ -31,6 +32,7 @@ mod settings;
 mod support;
 mod tls;
 mod torture;
+mod traces;
 mod web;
 mod webhooks;
 mod workers;

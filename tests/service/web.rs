@@ -35,7 +35,7 @@ impl Web {
         Self { http, url: server.url.clone(), token }
     }
 
-    async fn send(
+    pub(crate) async fn send(
         &self,
         verb: &str,
         path: &str,

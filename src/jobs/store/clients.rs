@@ -37,6 +37,8 @@ pub struct NewJob {
     pub labels: Labels,
     /// Whom to call when it has ended; empty for nobody. A repeated request keeps the first one's.
     pub webhook: String,
+    /// Where its trace goes on: a W3C traceparent; empty where nobody traces.
+    pub trace: String,
 }
 
 /// Which jobs.
@@ -191,12 +193,13 @@ impl Store {
             keep_meshes(&mut tx, new, now).await?;
             let spec = serde_json::to_string(&new.spec).map_err(stored("the specification"))?;
             let insert = "INSERT INTO jobs (id, owner, mesh, file_name, spec, state, created_ms, \
-                          queued_ms, priority, labels) VALUES ($1, $2, $3, $4, $5, $6, $7, $7, $8, $9)";
+                          queued_ms, priority, trace, labels) \
+                          VALUES ($1, $2, $3, $4, $5, $6, $7, $7, $8, $9, $10)";
             let insert = sqlx::query(insert).bind(id).bind(&new.owner).bind(&new.mesh);
             let insert =
                 insert.bind(&new.file_name).bind(spec).bind(State::Queued.name()).bind(now);
             let labels = serde_json::to_string(&new.labels).map_err(stored("the labels"))?;
-            let insert = insert.bind(i64::from(new.priority)).bind(labels);
+            let insert = insert.bind(i64::from(new.priority)).bind(&new.trace).bind(labels);
             insert.execute(&mut *tx).await?;
             owners::note_request(&mut tx, new, id).await?;
             webhooks::note(&mut tx, new, id).await?;

@@ -100,6 +100,7 @@ fn new_job(request_id: &str) -> NewJob {
         priority: 0,
         labels: std::collections::BTreeMap::default(),
         webhook: String::new(),
+        trace: String::new(),
     }
 }
 
@@ -120,7 +121,7 @@ async fn create(store: &Store, prefix: &str, n_jobs: usize) -> Vec<Job> {
 }
 
 async fn claim(store: &Store, worker: &str) -> Option<(Job, Lease)> {
-    let job = store.claim(worker, &Terms::default()).await.unwrap()?;
+    let job = store.claim(worker, &Terms::default()).await.unwrap().job.unwrap()?;
     let lease = Lease { job: job.id.clone(), epoch: job.epoch, worker: worker.into() };
     Some((job, lease))
 }
@@ -389,7 +390,7 @@ async fn expired_leases_are_lost_once(home: Home) {
     create(&stores[0], "a", 10).await;
     let short = Terms { lease: Duration::from_millis(1), ..Terms::default() };
     for w in 0..10 {
-        stores[0].claim(&*format!("w{w}"), &short).await.unwrap().unwrap();
+        stores[0].claim(&*format!("w{w}"), &short).await.unwrap().job.unwrap().unwrap();
     }
     tokio::time::sleep(Duration::from_millis(20)).await;
     let (a, b) = tokio::join!(stores[0].lose_expired(3), stores[1].lose_expired(3));

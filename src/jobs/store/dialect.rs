@@ -169,6 +169,7 @@ impl Dialect {
             (12, "checkpoints", include_str!("../migrations/0012_checkpoints.sql")),
             (13, "attempts", include_str!("../migrations/0013_attempts.sql")),
             (14, "queue", include_str!("../migrations/0014_queue.sql")),
+            (15, "traces", include_str!("../migrations/0015_traces.sql")),
             (16, "labels", include_str!("../migrations/0016_labels.sql")),
         ];
         let migration = |(version, name, sql): (i64, &'static str, &'static str)| {

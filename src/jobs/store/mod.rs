@@ -42,7 +42,7 @@ use super::{
     error::{Error, Result},
     event::{Body, Event, ServerEvent},
     labels::Labels,
-    lease::Orders,
+    lease::{Loss, Orders},
     spec::Spec,
     state::State,
 };
@@ -53,8 +53,9 @@ pub use clients::{Filter, MeshLock, NewJob};
 pub use dialect::Address;
 pub use fleet::{Service, Worker};
 pub use listen::{Ear, Heard};
+pub use queue::Waiting;
 pub use webhooks::{CallEnd, DueCall};
-pub use workers::{Appended, Outcome};
+pub use workers::{Appended, Claimed, Outcome};
 
 /// A job as stored.
 #[derive(Clone, Debug, PartialEq)]
@@ -110,6 +111,10 @@ pub struct Job {
     pub pinned: bool,
     /// Its results are gone: their time was up.
     pub results_removed: bool,
+    /// Where its trace goes on: a W3C traceparent; empty where nobody traces.
+    pub trace: String,
+    /// How its attempt was lost, where this very call found that out.
+    pub loss: Option<Loss>,
 }
 
 impl Job {
@@ -338,6 +343,8 @@ fn job_of(row: &AnyRow) -> Result<Job> {
         preempt: int("preempt")? != 0,
         pinned: int("pinned")? != 0,
         results_removed: int("swept")? != 0,
+        trace: row.try_get("trace")?,
+        loss: None,
         id,
     })
 }

@@ -6,7 +6,7 @@
 //!    index, never at all jobs.
 //! 3. A job of higher priority that has waited a while for a worker gets that of a job of lower priority.
 
-use sqlx::AssertSqlSafe;
+use sqlx::{AssertSqlSafe, Row, any::AnyRow};
 
 use super::{Exclusive, Job, Store, Tx, fleet, job_of, now_ms, only, sql};
 use crate::jobs::{
@@ -19,7 +19,40 @@ const HALF_LIFE_MS: f64 = 3_600_000.0;
 /// Jobs that are made room for at once.
 const AT_ONCE: i64 = 64;
 
+/// Jobs of one owner and priority that wait.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Waiting {
+    /// Whose.
+    pub owner: String,
+    /// Their priority.
+    pub priority: i32,
+    /// How many.
+    pub n_jobs: u64,
+    /// For how long the one has that has waited longest.
+    pub oldest_secs: f64,
+}
+
 impl Store {
+    /// How many jobs wait, and since when, by owner and priority, in this order. One look at an index of those that
+    /// wait.
+    pub async fn queue(&self) -> Result<Vec<Waiting>> {
+        let mut conn = self.readers.acquire().await?;
+        let query = "SELECT owner, priority, count(*) AS n_jobs, min(queued_ms) AS oldest_ms FROM jobs \
+                     WHERE state = 'QUEUED' GROUP BY owner, priority ORDER BY owner, priority";
+        let rows = sqlx::query(query).fetch_all(&mut *conn).await?;
+        let now = now_ms(&mut conn).await?;
+        let waiting = |row: &AnyRow| -> Result<Waiting> {
+            let int = |column: &str| row.try_get::<i64, _>(column);
+            Ok(Waiting {
+                owner: row.try_get("owner")?,
+                priority: int("priority")? as i32,
+                n_jobs: int("n_jobs")? as u64,
+                oldest_secs: (now - int("oldest_ms")?).max(0) as f64 / 1000.0,
+            })
+        };
+        rows.iter().map(waiting).collect()
+    }
+
     /// Asks workers to hand their jobs back where others of higher priority have waited too long; which jobs.
     pub async fn preempt(&self, terms: &Terms) -> Result<Vec<Job>> {
         let mut conn = self.readers.acquire().await?;

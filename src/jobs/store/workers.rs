@@ -34,6 +34,15 @@ pub enum Outcome {
     Released(String),
 }
 
+/// What a claim led to.
+#[derive(Debug)]
+pub struct Claimed {
+    /// The job, if there was one for this worker, or why it gets none.
+    pub job: Result<Option<Job>>,
+    /// What the worker still held by the books.
+    pub abandoned: Vec<Job>,
+}
+
 /// What a batch of events led to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Appended {
@@ -46,23 +55,23 @@ pub struct Appended {
 impl Store {
     /// Gives the queued job whose turn it is to a worker, those last that its host has lost; refused when the host is
     /// out of service.
-    pub async fn claim(&self, who: impl Into<Claimant>, terms: &Terms) -> Result<Option<Job>> {
+    pub async fn claim(&self, who: impl Into<Claimant>, terms: &Terms) -> Result<Claimed> {
         let who = who.into();
-        let claimed = transaction!(self, tx, {
-            lose_all_of(&mut tx, &who.worker, Loss::Abandoned, terms.max_lost).await?;
+        transaction!(self, tx, {
+            let lost = lose_all_of(&mut tx, &who.worker, Loss::Abandoned, terms.max_lost);
+            let abandoned = lost.await?;
             let now = now_ms(&mut tx).await?;
             if let Some(refusal) = fleet::check_in(&mut tx, &who, terms, now).await? {
                 // What has been found out about the host stays.
-                return Ok(Err(refusal));
+                return Ok(Claimed { job: Err(refusal), abandoned });
             }
             let job = match queue::next(&mut tx, &who, terms, now).await? {
                 Some(job) => Some(start(&mut tx, job, &who, terms).await?),
                 None => None,
             };
             pass(Point::ClaimWritten);
-            Ok(Ok(job))
-        });
-        claimed?
+            Ok(Claimed { job: Ok(job), abandoned })
+        })
     }
 
     /// Extends a lease; what the worker should do.
@@ -334,6 +343,7 @@ async fn lose(tx: &mut Tx, mut job: Job, loss: Loss, detail: &str, max_lost: u32
     let (reason, counts, now) = (loss.reason(), loss.counts(), now_ms(tx).await?);
     attempts::finish(tx, &job, Finish { reason, detail: &why, counts, now }).await?;
     job.lost = attempts::blame(tx, &job.id).await?;
+    job.loss = Some(loss);
     let update = sqlx::query("UPDATE jobs SET lost = $1 WHERE id = $2");
     update.bind(i64::from(job.lost)).bind(&job.id).execute(&mut **tx).await?;
     match verdict(job.lost, max_lost, job.cancel_requested) {

@@ -124,6 +124,7 @@ async fn new_job(jobs: &Jobs, request_id: &str) -> NewJob {
         priority: 0,
         labels: std::collections::BTreeMap::default(),
         webhook: String::new(),
+        trace: String::new(),
     }
 }
 
@@ -335,6 +336,7 @@ async fn requests_are_idempotent_and_checked_as_a_whole(home: Home) {
         priority: 0,
         labels: std::collections::BTreeMap::default(),
         webhook: String::new(),
+        trace: String::new(),
     };
     let Err(Error::Invalid(faults)) = jobs.create(bad, vec![]).await else { panic!("accepted") };
     let fields: Vec<_> = faults.iter().map(|fault| fault.field.as_str()).collect();

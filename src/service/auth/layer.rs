@@ -23,7 +23,8 @@ use super::{
 };
 use crate::{
     jobs::{Jobs, audit::AuditEntry, principal::Principal},
-    service::{accept::Peer, call_name, status::refusal},
+    service::{accept::Peer, call_name, call_span::CallSpan, status::refusal},
+    telemetry::{Spans, trace::TraceContext},
 };
 
 /// Entries of refusals a second, lest strangers fill the disk, and how many may come at once: those of a minute.
@@ -35,14 +36,25 @@ const REFUSALS_AT_ONCE: NonZeroU32 = NonZeroU32::new(600).unwrap();
 pub(in crate::service) struct Call {
     /// Who.
     pub who: Arc<Principal>,
+    /// Where in a trace it is, if anybody traces.
+    pub trace: Option<TraceContext>,
     resource: Arc<OnceLock<String>>,
 }
 
 impl Call {
+    fn of(who: Principal, trace: Option<TraceContext>) -> Self {
+        Self { who: Arc::new(who), trace, resource: Arc::default() }
+    }
+
     /// Says what the call is about, for the audit table.
     pub fn is_about(&self, resource: impl Into<String>) {
         // Said twice, the first holds.
         let _ = self.resource.set(resource.into());
+    }
+
+    /// What it is about.
+    pub fn resource(&self) -> Option<&str> {
+        self.resource.get().map(String::as_str)
     }
 }
 
@@ -51,13 +63,14 @@ impl Call {
 pub(in crate::service) struct GateLayer {
     gate: Arc<Gate>,
     jobs: Jobs,
+    spans: Spans,
     refusals: Arc<DefaultDirectRateLimiter>,
 }
 
 impl GateLayer {
-    pub fn new(gate: Arc<Gate>, jobs: Jobs) -> Self {
+    pub fn new(gate: Arc<Gate>, jobs: Jobs, spans: Spans) -> Self {
         let quota = Quota::per_second(REFUSALS_PER_SEC).allow_burst(REFUSALS_AT_ONCE);
-        Self { gate, jobs, refusals: Arc::new(RateLimiter::direct(quota)) }
+        Self { gate, jobs, spans, refusals: Arc::new(RateLimiter::direct(quota)) }
     }
 }
 
@@ -112,8 +125,16 @@ where
     let name = call_name::ensure(request.headers_mut());
     let method = request.uri().path().rsplit('/').next().unwrap_or_default();
     let method = method.get(..64).unwrap_or(method);
-    let span = tracing::info_span!("request", id = name.to_str().unwrap_or_default(), method);
+    let id = name.to_str().unwrap_or_default();
+    let span = tracing::info_span!("request", id, method);
+    let traced = CallSpan::begin(&gate.spans, &request, id);
+    if let Some(traced) = &traced {
+        request.extensions_mut().insert(traced.context());
+    }
     let mut response = decide(gate, inner, request).instrument(span).await?;
+    if let Some(traced) = traced {
+        response = traced.follow(response);
+    }
     response.headers_mut().insert(call_name::HEADER, name);
     Ok(response)
 }
@@ -143,23 +164,31 @@ where
             let status = refusal.status();
             gate.note(who.as_ref(), &peer, &path, "", status.code()).await;
             tokio::time::sleep(gate.gate.patience(&refusal, &peer)).await;
-            return Ok(status.into_http());
+            let mut response = status.into_http();
+            if let Some(who) = who.filter(|_| gate.spans.is_on()) {
+                response.extensions_mut().insert(Call::of(who, None));
+            }
+            return Ok(response);
         }
     };
-    let call = Call { who: Arc::new(admitted.who), resource: Arc::default() };
+    let trace = request.extensions().get::<TraceContext>().copied();
+    let call = Call::of(admitted.who, trace);
     request.extensions_mut().insert(call.clone());
     // The token has done its work.
     request.headers_mut().remove("authorization");
-    let response = explained(inner.call(request).await?);
+    let mut response = explained(inner.call(request).await?);
     let code = Status::from_header_map(response.headers()).map_or(Code::Ok, |s| s.code());
     gate.answered(method, &call, &peer, &path, code).await;
+    if gate.spans.is_on() {
+        response.extensions_mut().insert(call);
+    }
     Ok(held(response, admitted.stream))
 }
 
 impl GateLayer {
     /// Writes about an answered call what its row of the table says.
     async fn answered(&self, method: &Method, call: &Call, peer: &Peer, path: &str, code: Code) {
-        let resource = call.resource.get().map_or("", String::as_str);
+        let resource = call.resource().unwrap_or_default();
         if method.audit == Audit::Yes {
             self.note(Some(&call.who), peer, path, resource, code).await;
         }
@@ -178,7 +207,7 @@ impl GateLayer {
         let path = path.get(..128).unwrap_or(path);
         let principal = who.map(|who| who.name.clone()).unwrap_or_default();
         let owner = who.map(|who| who.owner.clone()).unwrap_or_default();
-        let outcome = outcome(code);
+        let outcome = code_name(code);
         metrics::counter!("lookalike_audited_calls_total", "outcome" => outcome).increment(1);
         let is_refusal = matches!(
             code,
@@ -200,7 +229,7 @@ impl GateLayer {
 }
 
 /// The code's name in gRPC's own spelling.
-fn outcome(code: Code) -> &'static str {
+pub(in crate::service) fn code_name(code: Code) -> &'static str {
     match code {
         Code::Ok => "OK",
         Code::Cancelled => "CANCELLED",

@@ -30,7 +30,7 @@ use crate::jobs::principal::{Act, Principal};
 
 pub use self::{jwt::JwtRules, limits::Rates, secret::Secret, tokens::issue};
 pub(super) use self::{
-    layer::{Call, GateLayer},
+    layer::{Call, GateLayer, code_name},
     watched::Watched,
 };
 

@@ -16,7 +16,10 @@ use super::{
     Grpc,
     fault::{Fault, Result},
 };
-use crate::service::{accept::Peer, call_name, server::MAX_MESSAGE_BYTES};
+use crate::{
+    service::{accept::Peer, call_name, server::MAX_MESSAGE_BYTES},
+    telemetry::trace::TRACEPARENT,
+};
 
 /// A call that says who makes it as the request did: by its connection and its token.
 pub(super) fn on_behalf<T>(parts: &Parts, message: T) -> Request<T> {
@@ -24,7 +27,7 @@ pub(super) fn on_behalf<T>(parts: &Parts, message: T) -> Request<T> {
     if let Some(peer) = parts.extensions.get::<Peer>() {
         request.extensions_mut().insert(peer.clone());
     }
-    for name in ["authorization", call_name::HEADER] {
+    for name in ["authorization", TRACEPARENT, call_name::HEADER] {
         // What is no text is no token either: the gate says so.
         let value = parts.headers.get(name).map(|value| value.to_str().unwrap_or("?").parse());
         if let Some(Ok(value)) = value {

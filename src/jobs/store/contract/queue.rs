@@ -14,13 +14,14 @@ in_homes! { [on_sqlite on_postgres] [
     jobs_of_higher_priority_get_the_workers_of_lower_ones,
     a_drained_host_hands_its_job_back_and_gets_no_other,
     a_retry_queues_what_did_not_succeed_anew,
+    the_queue_is_told_by_owner_and_priority,
 ] }
 
 /// A new incarnation on `host` claims a job; how that ends.
 async fn claim_on(store: &Store, host: &str, terms: &Terms) -> Result<Option<(Job, Lease)>> {
     let worker = format!("{host}-{}", uuid::Uuid::new_v4().simple());
     let who = Claimant { worker: worker.clone(), host: host.into(), version: "1.2.3".into() };
-    let job = store.claim(&who, terms).await?;
+    let job = store.claim(&who, terms).await?.job?;
     Ok(job.map(|job| {
         let lease = Lease { job: job.id.clone(), epoch: job.epoch, worker };
         (job, lease)
@@ -297,4 +298,21 @@ async fn a_retry_queues_what_did_not_succeed_anew(home: Home) {
     stores[0].complete(&lease, &Outcome::Succeeded(vec![]), 3).await.unwrap();
     let refused = stores[1].retry("a", &room).await.unwrap_err();
     assert!(refused.to_string().contains("submit it again"), "{refused}");
+}
+
+async fn the_queue_is_told_by_owner_and_priority(home: Home) {
+    let [store] = home.servers().await;
+    assert_eq!(store.queue().await.unwrap(), []);
+    add_mesh(&store, "mesh").await;
+    for (id, owner, priority) in
+        [("a", "bob", 0), ("b", "ann", 0), ("c", "ann", -2), ("d", "ann", 0), ("e", "zoe", 9)]
+    {
+        queue(&store, id, owner, priority).await;
+    }
+    claim(&store, "w").await.unwrap();
+    tokio::time::sleep(Duration::from_millis(20)).await;
+    let told = store.queue().await.unwrap();
+    let rows: Vec<_> = told.iter().map(|w| (&*w.owner, w.priority, w.n_jobs)).collect();
+    assert_eq!(rows, [("ann", -2, 1), ("ann", 0, 2), ("bob", 0, 1)]);
+    assert!(told.iter().all(|w| (0.02..60.0).contains(&w.oldest_secs)), "{told:?}");
 }
