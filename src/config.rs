@@ -97,6 +97,9 @@ pub(crate) struct ServeArgs {
     /// Hours for which the results of an ended job are kept, unless it is pinned; 0 for ever.
     #[arg(long, env = "LOOKALIKE_KEEP_RESULTS_HOURS", default_value_t = 0, value_name = "HOURS")]
     pub(crate) keep_results_hours: u32,
+    /// Hours for which jobs are kept after their end, with their logs and results, unless they are pinned; 0 for ever.
+    #[arg(long, env = "LOOKALIKE_KEEP_JOBS_HOURS", default_value_t = 0, value_name = "HOURS")]
+    pub(crate) keep_jobs_hours: u32,
     /// Seconds that workers and open calls get to end in peace.
     #[arg(long, env = "LOOKALIKE_DRAIN_SECS", default_value_t = 10.0, value_name = "SECS")]
     pub(crate) drain_secs: f64,
@@ -220,6 +223,7 @@ impl ServeArgs {
                 max_owner_bytes: most_bytes(self.max_owner_mib),
                 keep_meshes: Duration::from_hours(self.keep_meshes_hours.into()),
                 keep_results: kept_for(self.keep_results_hours),
+                keep_jobs: kept_for(self.keep_jobs_hours),
                 ..Limits::default()
             },
             guard,

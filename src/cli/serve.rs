@@ -171,7 +171,7 @@ async fn sweep(
     }
 }
 
-/// Removes results whose time is up, and what is left of checkpoints, until the end.
+/// Removes results and jobs whose time is up, and what is left of checkpoints, until the end.
 async fn tidy(jobs: &Jobs, stop: &CancellationToken) -> anyhow::Result<()> {
     let mut tick = tokio::time::interval(TIDY);
     loop {
@@ -181,6 +181,11 @@ async fn tidy(jobs: &Jobs, stop: &CancellationToken) -> anyhow::Result<()> {
                     Ok(0) => {}
                     Ok(n_jobs) => tracing::info!(n_jobs, "results were removed: their time was up"),
                     Err(error) => tracing::error!(%error, "results cannot be removed"),
+                }
+                match jobs.sweep_jobs().await {
+                    Ok(0) => {}
+                    Ok(n_jobs) => tracing::info!(n_jobs, "jobs were deleted: their time was up"),
+                    Err(error) => tracing::error!(%error, "jobs cannot be deleted"),
                 }
                 if let Err(error) = jobs.sweep_checkpoints().await {
                     tracing::error!(%error, "checkpoints of ended jobs cannot be removed");

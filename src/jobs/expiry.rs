@@ -1,5 +1,5 @@
-//! Results have their time: after it they are removed, but for those of pinned jobs. Logs stay. Checkpoints end with their
-//! jobs.
+//! Results have their time, and jobs with their logs have theirs: after it they are removed, unless they are pinned.
+//! Checkpoints end with their jobs.
 
 use super::{
     Jobs,
@@ -33,6 +33,21 @@ impl Jobs {
             self.forget_checkpoint(&id, epoch).await?;
         }
         Ok(())
+    }
+
+    /// Deletes jobs whose time is up, with their logs; how many. To be called now and then.
+    pub async fn sweep_jobs(&self) -> Result<usize> {
+        let Some(kept_for) = self.0.limits.keep_jobs else { return Ok(0) };
+        let mut n_swept = 0;
+        for id in self.0.store.outdated(kept_for, AT_ONCE).await? {
+            match self.delete(&id).await {
+                Ok(()) => n_swept += 1,
+                // Deleted or queued anew a moment ago.
+                Err(Error::NotFound(_) | Error::Illegal { .. }) => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(n_swept)
     }
 
     /// Removes results whose time is up; of how many jobs. To be called now and then.

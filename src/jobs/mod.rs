@@ -82,6 +82,8 @@ pub struct Limits {
     pub keep_audit: Duration,
     /// Results of ended jobs are removed after so long, unless the job is pinned; never where it is not said.
     pub keep_results: Option<Duration>,
+    /// How long jobs are kept after their end, with their logs; for ever where it is not given.
+    pub keep_jobs: Option<Duration>,
 }
 
 impl Default for Limits {
@@ -96,6 +98,7 @@ impl Default for Limits {
             keep_meshes: Duration::from_hours(7 * 24),
             keep_audit: Duration::from_hours(366 * 24),
             keep_results: None,
+            keep_jobs: None,
         }
     }
 }

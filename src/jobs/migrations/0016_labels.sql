@@ -9,3 +9,6 @@ CREATE TABLE labels (
 ) STRICT, WITHOUT ROWID;
 
 CREATE INDEX labels_of_job ON labels (n);
+
+-- Jobs have their time, too.
+CREATE INDEX jobs_ended ON jobs (ended_ms) WHERE pinned = 0;

@@ -45,6 +45,16 @@ impl Store {
         })
     }
 
+    /// At most `limit` jobs whose time is up: they ended so long ago and are not pinned.
+    pub async fn outdated(&self, kept_for: Duration, limit: u32) -> Result<Vec<String>> {
+        let age_ms = i64::try_from(kept_for.as_millis()).unwrap_or(i64::MAX);
+        let now = now_ms(&mut *self.readers.acquire().await?).await?;
+        let query =
+            "SELECT id FROM jobs WHERE ended_ms <= $1 AND pinned = 0 ORDER BY ended_ms LIMIT $2";
+        let query = sqlx::query_scalar(query).bind(now.saturating_sub(age_ms));
+        Ok(query.bind(i64::from(limit)).fetch_all(&self.readers).await?)
+    }
+
     /// Notes that the bytes of a job's results are gone.
     pub async fn results_gone(&self, id: &str) -> Result<()> {
         let update = sqlx::query("UPDATE jobs SET swept = 2 WHERE id = $1 AND swept = 1");

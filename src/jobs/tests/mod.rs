@@ -96,6 +96,7 @@ in_homes! { [on_sqlite on_postgres] [
     servers_share_a_database_but_not_their_directories,
     database_and_objects_belong_together,
     results_are_removed_with_their_bytes_and_logs_stay,
+    jobs_go_when_their_time_is_up_unless_they_are_pinned,
     followers_see_everything_live_wherever_they_begin,
 ] }
 
@@ -472,4 +473,22 @@ async fn results_are_removed_with_their_bytes_and_logs_stay(home: Home) {
     assert!(matches!(jobs.artifact(&names[0], "a.txt").await, Err(Error::NotFound(_))));
     assert!(jobs.artifact(&names[1], "a.txt").await.is_ok());
     assert_eq!(jobs.sweep_results().await.unwrap(), 0);
+    assert_eq!(jobs.sweep_jobs().await.unwrap(), 0, "jobs are kept for ever");
+}
+
+async fn jobs_go_when_their_time_is_up_unless_they_are_pinned(home: Home) {
+    let limits = Limits { keep_jobs: Some(Duration::ZERO), ..Limits::default() };
+    let jobs = Jobs::open(home.places(), Terms::default(), limits).await.unwrap();
+    let mut names = Vec::new();
+    for _ in 0..3 {
+        names.push(create(&jobs).await.id);
+    }
+    let [old, pinned, waiting] = &names[..] else { panic!("{names:?}") };
+    for id in [old, pinned] {
+        jobs.cancel(id).await.unwrap();
+    }
+    jobs.pin(pinned, true).await.unwrap();
+    assert_eq!(jobs.sweep_jobs().await.unwrap(), 1);
+    assert!(matches!(jobs.job(old).await, Err(Error::NotFound(_))));
+    assert!(jobs.job(pinned).await.is_ok() && jobs.job(waiting).await.is_ok());
 }
