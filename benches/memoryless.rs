@@ -22,15 +22,19 @@
 
 use std::hint::black_box;
 use std::ops::ControlFlow;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use criterion::{BatchSize, BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use lookalike::compare::sample_mesh;
-use lookalike::memoryless::{Params, Scratch, placement, simplify};
+use lookalike::memoryless::{Params, Scratch, Simplifier, placement, simplify};
 use lookalike::mesh::{EdgeTable, EditMesh};
+use lookalike::tape::{Tape, pack};
 
 /// Triangles of the sample.
 const SIZES: [usize; 3] = [70_000, 250_000, 1_000_000];
+/// Bytes of a piece of tape.
+const PIECE: usize = 1 << 20;
 
 fn sample(n_faces: usize) -> EditMesh {
     EditMesh::new(sample_mesh(3, n_faces)).expect("the sample is sound")
@@ -57,6 +61,38 @@ fn simplification(criterion: &mut Criterion) {
     group.finish();
 }
 
+/// The same when all keys are on a tape: what an attempt does again that goes on from a checkpoint.
+fn resumption(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("memoryless");
+    group.sample_size(10).measurement_time(Duration::from_secs(5));
+    for n in SIZES {
+        let mesh = sample(n);
+        let (n_faces, target) = (mesh.n_faces() as u64, mesh.n_faces() as u32 / 52);
+        let params = Params::default();
+        let run = |mesh: &mut EditMesh, tape: &Tape| {
+            Simplifier::new(mesh, &params, tape).run_to(target, &mut |_| ControlFlow::Continue(()))
+        };
+        let pieces = Arc::new(Mutex::new(Vec::new()));
+        let keep = Arc::clone(&pieces);
+        let keeper = move |recorded: &mut Vec<u8>| {
+            if recorded.len() > PIECE {
+                keep.lock().expect("one thread").extend(pack(&std::mem::take(recorded)));
+            }
+        };
+        run(&mut mesh.clone(), &Tape::new(Vec::new(), Box::new(keeper)));
+        let pieces = pieces.lock().expect("one thread").clone();
+        group.throughput(Throughput::Elements(n_faces - u64::from(target)));
+        group.bench_function(BenchmarkId::new("triangles_removed_again", n_faces), |bencher| {
+            bencher.iter_batched_ref(
+                || (mesh.clone(), Tape::new(pieces.clone(), Box::new(|_| ()))),
+                |(mesh, tape)| run(mesh, tape),
+                BatchSize::PerIteration,
+            );
+        });
+    }
+    group.finish();
+}
+
 fn evaluation(criterion: &mut Criterion) {
     let mesh = sample(SIZES[0]);
     let edges = EdgeTable::new(&mesh);
@@ -74,5 +110,5 @@ fn evaluation(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, simplification, evaluation);
+criterion_group!(benches, simplification, resumption, evaluation);
 criterion_main!(benches);

@@ -415,7 +415,7 @@ fn a_run_goes_on_where_it_was_broken_off() {
     let (keep, mut n_asked) = (Arc::clone(&kept), 0);
     let every_so_often = move |recorded: &mut Vec<u8>| {
         n_asked += 1;
-        if n_asked % 2500 == 0 {
+        if n_asked % 2000 == 0 {
             keep.lock().unwrap().push(pack(&std::mem::take(recorded)).unwrap());
         }
     };
@@ -432,5 +432,5 @@ fn a_run_goes_on_where_it_was_broken_off() {
         assert_eq!(tape.fault(), None);
         n_found.push(*asked.lock().unwrap());
     }
-    assert!(n_found.windows(2).all(|n| n[0] == n[1] + 2500), "{n_found:?}");
+    assert!(n_found.windows(2).all(|n| n[0] == n[1] + 2000), "{n_found:?}");
 }

@@ -104,7 +104,12 @@ async fn a_database_that_crashes_costs_no_attempt() {
     let mut client = server.client();
     for (order, back) in [("crash", None), ("stop", Some("start"))] {
         let name = create(&mut client).await;
-        running(&server, &name).await;
+        // Its worker knows of it: a claim whose answer is lost would be made again.
+        eventually("the worker to say something", || {
+            let (mut client, name) = (client.clone(), name.clone());
+            async move { (!job(&mut client, &name).await.stage.is_empty()).then_some(()) }
+        })
+        .await;
         farm.cluster.order(order);
         if let Some(back) = back {
             // Told to come back, and by whom.

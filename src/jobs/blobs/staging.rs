@@ -5,7 +5,10 @@ use std::{
     fs::{self, File},
     io::Write,
     path::{Path, PathBuf},
-    sync::atomic::{AtomicU64, Ordering},
+    sync::{
+        Mutex, PoisonError,
+        atomic::{AtomicU64, Ordering},
+    },
 };
 
 use tokio::sync::mpsc;
@@ -17,6 +20,8 @@ use crate::jobs::error::{Error, Result};
 /// So many bytes are written before the disk has to have them. A file that waits in memory for its end, however
 /// large, would then keep every commit of the database waiting that shares the disk.
 const UNSYNCED: u64 = 4 << 20;
+/// One after the other: many at once would fill the disk's own queue, in which commits wait too.
+static FLUSH: Mutex<()> = Mutex::new(());
 
 /// The folder.
 #[derive(Debug)]
@@ -118,6 +123,7 @@ impl Writer {
         self.n_unsynced += bytes.len() as u64;
         if self.n_unsynced >= UNSYNCED {
             self.n_unsynced = 0;
+            let _turn = FLUSH.lock().unwrap_or_else(PoisonError::into_inner);
             self.file.sync_data().map_err(Error::io(&self.staged.path))?;
         }
         Ok(())

@@ -196,7 +196,7 @@ mod tests {
             ("page_size=-1", "invalid"),
             ("states=NONE", "NONE"),
             ("owner=a&owner=b", "given twice"),
-            ("create_time_from=yesterday", "yesterday"),
+            ("create_time_from=yesterday", "invalid date"),
             ("colour=red", "page_size, page_token, states, owner"),
         ] {
             let found = list(bad).unwrap_err();
