@@ -5,6 +5,8 @@ use http::Uri;
 
 /// Also turn the export on, as OpenTelemetry has it; the first that is set holds.
 const VARIABLES: [&str; 2] = ["OTEL_EXPORTER_OTLP_TRACES_ENDPOINT", "OTEL_EXPORTER_OTLP_ENDPOINT"];
+/// Turns it off again, where it says `true`.
+const DISABLED: &str = "OTEL_SDK_DISABLED";
 
 /// Flags of `lookalike serve` about traces.
 #[derive(Args, Clone, Debug)]
@@ -22,6 +24,9 @@ impl TraceArgs {
         variable: impl Fn(&str) -> Option<String>,
         faults: &mut Vec<String>,
     ) -> Option<String> {
+        if variable(DISABLED).is_some_and(|text| text.eq_ignore_ascii_case("true")) {
+            return None;
+        }
         let given = self.otlp_endpoint.map(|url| ("--otlp-endpoint", url));
         let standard = VARIABLES.iter().map(|name| Some((*name, variable(name)?)));
         let is_url = |(_, url): &(&str, String)| !url.is_empty();
@@ -58,13 +63,15 @@ mod tests {
     fn flags_win_over_the_standard_variables() {
         let [traces, all] = VARIABLES;
         type Case<'a> = (Option<&'a str>, &'a [(&'a str, &'a str)], Option<&'a str>);
-        let table: [Case<'_>; 6] = [
+        let table: [Case<'_>; 8] = [
             (None, &[], None),
             (Some(""), &[(all, "")], None),
             (None, &[(all, "http://a:4317")], Some("http://a:4317")),
             (None, &[(all, "http://a:4317"), (traces, "https://b")], Some("https://b")),
             (Some("http://c:1/"), &[(traces, "https://b")], Some("http://c:1/")),
             (Some("http://[::1]:4317"), &[], Some("http://[::1]:4317")),
+            (Some("http://c:1"), &[(DISABLED, "false")], Some("http://c:1")),
+            (Some("http://c:1"), &[(traces, "nonsense"), (DISABLED, "True")], None),
         ];
         for (flag, env, wanted) in table {
             assert_eq!(check(flag, env), (wanted.map(Into::into), vec![]), "{flag:?} {env:?}");

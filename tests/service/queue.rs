@@ -164,7 +164,8 @@ async fn create_long(client: &mut Client, server: &Server, priority: i32) -> Str
     let priority = format!("--priority={priority}");
     let flags = [&[&*file, "--no-wait", &priority], &LONG_JOB[..]].concat();
     let name = said(server, "submit", &flags).trim().to_owned();
-    assert_eq!(state(&job(client, &name).await), State::Queued);
+    // A worker may be faster than the command line.
+    assert!(!state(&job(client, &name).await).is_final());
     name
 }
 

@@ -206,12 +206,15 @@ fn check_job(spans: &[Span], name: &str) {
     assert_eq!(said(call, "lookalike.request_id").len(), 36);
     let mut attempts: Vec<_> = named("attempt").collect();
     attempts.sort_by_key(|attempt| attempt.start_time_unix_nano);
-    let told = |name: &str| attempts.iter().map(|a| said(a, name)).collect::<Vec<_>>();
-    assert_eq!(told("lookalike.attempt"), ["1", "2"]);
-    assert_eq!(told("lookalike.reason"), ["WORKER_EXITED", "COMPLETED"]);
-    assert!(!said(attempts[1], "lookalike.device").is_empty());
+    // The server may have died just when it gave the job away again.
+    let (first, last) = (attempts[0], attempts[attempts.len() - 1]);
+    assert_eq!(said(first, "lookalike.attempt"), "1");
+    assert_eq!(said(last, "lookalike.attempt"), attempts.len().to_string(), "{attempts:?}");
+    assert_eq!(said(first, "lookalike.reason"), "WORKER_EXITED");
+    assert_eq!(said(last, "lookalike.reason"), "COMPLETED");
+    assert!(!said(last, "lookalike.device").is_empty());
     let failed = |span: &Span| span.status.as_ref().is_some_and(|s| s.code() == StatusCode::Error);
-    assert_eq!((failed(attempts[0]), failed(attempts[1])), (true, false));
+    assert_eq!((failed(first), failed(last)), (true, false));
     let last = named("optimize").max_by_key(|stage| stage.start_time_unix_nano).unwrap();
     for number in ["evaluations", "triangles", "energy"] {
         let number = said(last, &format!("lookalike.{number}"));
@@ -275,7 +278,7 @@ async fn a_collector_that_is_not_there_holds_nobody_up() {
         assert_eq!(job(&mut client, &name).await.attempt, 1);
         drop(client);
         let (took, well) = server.terminate();
-        assert!(well && took < Duration::from_secs(8), "{address}: {took:?}");
+        assert!(well && took < Duration::from_secs(10), "{address}: {took:?}");
         let log = server.logged();
         assert!(log.matches("spans are lost: see that").count() <= 1, "{log}");
         assert!(log.contains("spans are lost: "), "{log}");

@@ -15,6 +15,7 @@ use super::{
     fault::{Fault, Result},
     routes::{Answer, Found},
 };
+use crate::telemetry::trace::TRACEPARENT;
 
 /// An origin of pages that may call: `https://HOST` or `https://HOST:PORT`.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -60,6 +61,7 @@ pub(in crate::service) fn cross_origin(origins: &[Origin]) -> Option<CorsLayer> 
         "if-range",
         "last-event-id",
         "range",
+        TRACEPARENT,
         "x-grpc-web",
         "x-request-id",
         "x-user-agent",
