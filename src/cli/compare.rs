@@ -1,19 +1,25 @@
-//! `lookalike compare`: the papers' off-line evaluation of two files.
+//! `lookalike compare`: the papers' off-line evaluation of two files, in this process or on a server.
 
 use std::path::{Path, PathBuf};
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use lookalike::{
-    compare::{self, Appearance, Look, SheetParams},
+    compare::{self, Comparison, Look, SheetParams},
     io,
+    jobs::spec::{Evaluate, Input, Shading, Spec},
     mesh::Mesh,
-    metric::surface::SurfaceParams,
+    service::{convert, proto::v1},
+    worker::evaluating,
 };
+use uuid::Uuid;
 
 use super::{
     exit::{Exit, Failure},
+    job_args::word,
+    remote::{Remote, ServerArgs},
     show,
-    submit::{file_name, read_input},
+    submit::{create, file_name, read_input, wait},
+    watch::verdict,
 };
 
 /// Flags of `lookalike compare`.
@@ -25,6 +31,9 @@ pub(crate) struct CompareArgs {
     /// The simplified mesh, or several.
     #[arg(required = true)]
     simplified: Vec<PathBuf>,
+    /// Compare on the server, which --server names, instead of in this process: one job a mesh.
+    #[arg(long)]
+    remote: bool,
     /// One JSON object instead of text; of several meshes, an array of them.
     #[arg(long)]
     json: bool,
@@ -32,8 +41,8 @@ pub(crate) struct CompareArgs {
     #[arg(long, value_name = "PNG")]
     sheet: Option<PathBuf>,
     /// Flat or smooth (Gouraud) shading.
-    #[arg(long, value_enum, default_value = "flat")]
-    shading: ShadingArg,
+    #[arg(long, default_value = "flat", value_parser = word::<Shading>(&["flat", "smooth"]))]
+    shading: Shading,
     /// Draw material and vertex colours instead of white.
     #[arg(long)]
     colours: bool,
@@ -46,39 +55,30 @@ pub(crate) struct CompareArgs {
     /// Leave the distance between the surfaces out.
     #[arg(long)]
     no_distance: bool,
+    #[command(flatten)]
+    server: ServerArgs,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum ShadingArg {
-    Flat,
-    Smooth,
+impl CompareArgs {
+    fn evaluate(&self) -> Evaluate {
+        Evaluate {
+            shading: self.shading,
+            colours: self.colours,
+            hide_back_faces: self.hide_back_faces,
+            stored_normals: self.stored_normals,
+            distance: !self.no_distance,
+        }
+    }
 }
 
-pub(crate) fn run(args: &CompareArgs) -> Result<(), Failure> {
-    let original = read_mesh(&args.original)?;
-    let simplified: Vec<Mesh> =
-        args.simplified.iter().map(|path| read_mesh(path)).collect::<Result<_, _>>()?;
-    let look = Look {
-        shading: match args.shading {
-            ShadingArg::Flat => compare::Shading::Flat,
-            ShadingArg::Smooth => compare::Shading::Smooth,
-        },
-        appearance: if args.colours { Appearance::Coloured } else { Appearance::White },
-        hides_back_faces: args.hide_back_faces,
-        ..Look::default()
-    };
-    let surface = (!args.no_distance).then(SurfaceParams::default);
-    let stored_normals = args.stored_normals;
-    let params = compare::Params { look, surface, stored_normals, ..compare::Params::default() };
-    let reference = compare::Reference::new(&original, &params);
-    let comparisons: Vec<_> = simplified.iter().map(|mesh| reference.compare(mesh)).collect();
+pub(crate) async fn run(args: CompareArgs) -> Result<(), Failure> {
+    let (comparisons, sheet) = if args.remote { there(&args).await? } else { here(&args)? };
     if args.json {
         let json = match comparisons.as_slice() {
-            [one] => serde_json::to_string_pretty(one),
-            all => serde_json::to_string_pretty(all),
+            [one] => compare::json(one),
+            all => compare::json(&all),
         };
-        let json = json.map_err(|e| Failure::new(Exit::Failed, e.to_string()))?;
-        show::print(&format!("{json}\n"));
+        show::print(&json.map_err(|e| Failure::new(Exit::Failed, e.to_string()))?);
     } else {
         for (path, comparison) in args.simplified.iter().zip(&comparisons) {
             if comparisons.len() > 1 {
@@ -87,26 +87,74 @@ pub(crate) fn run(args: &CompareArgs) -> Result<(), Failure> {
             show::print(&compare::report_text(comparison));
         }
     }
-    match &args.sheet {
-        Some(path) => write_file(path, &sheet(&original, &simplified, look)),
+    match args.sheet.as_deref().zip(sheet) {
+        Some((path, png)) => write_file(path, &png),
         None => Ok(()),
     }
 }
 
+/// A comparison for each mesh, and a contact sheet where one is asked for.
+type Compared = (Vec<Comparison>, Option<Vec<u8>>);
+
+fn here(args: &CompareArgs) -> Result<Compared, Failure> {
+    let original = read_mesh(&args.original)?;
+    let simplified: Vec<Mesh> =
+        args.simplified.iter().map(|path| read_mesh(path)).collect::<Result<_, _>>()?;
+    let params = evaluating::params(&args.evaluate());
+    let reference = compare::Reference::new(&original, &params);
+    let comparisons = simplified.iter().map(|mesh| reference.compare(mesh)).collect();
+    let draws = args.sheet.is_some();
+    Ok((comparisons, draws.then(|| sheet(&original, &simplified, &params.look))))
+}
+
 /// One mesh seen from many sides, or several from two.
-fn sheet(original: &Mesh, simplified: &[Mesh], look: Look) -> Vec<u8> {
-    let with_look = |mut params: SheetParams| {
-        (params.look.shading, params.look.appearance) = (look.shading, look.appearance);
-        params
-    };
+fn sheet(original: &Mesh, simplified: &[Mesh], look: &Look) -> Vec<u8> {
     match simplified {
-        [one] => compare::sheet(original, one, &with_look(SheetParams::default())),
+        [one] => compare::sheet(original, one, &SheetParams::default().of_surface(look)),
         several => {
             let chain: Vec<&Mesh> = several.iter().collect();
-            let params = SheetParams::chain(compare::Axis::Y);
-            compare::sheet_multi(original, &chain, &with_look(params))
+            let params = SheetParams::chain(compare::Axis::Y).of_surface(look);
+            compare::sheet_multi(original, &chain, &params)
         }
     }
+}
+
+/// The same on a server, where each mesh is a job of its own.
+async fn there(args: &CompareArgs) -> Result<Compared, Failure> {
+    if args.simplified.len() > 1 && args.sheet.is_some() {
+        let text = "--sheet: with --remote there is a sheet of one mesh alone: name one, or leave --remote out";
+        return Err(Failure::new(Exit::Usage, text));
+    }
+    let original = read_input(&args.original)?;
+    let simplified: Vec<_> =
+        args.simplified.iter().map(|path| read_input(path)).collect::<Result<_, _>>()?;
+    let remote = Remote::connect(&args.server).await?;
+    let mesh = remote.upload(original.into()).await?;
+    let mut compared = Compared::default();
+    for (path, bytes) in args.simplified.iter().zip(simplified) {
+        let uploaded = convert::mesh_hash(&remote.upload(bytes.into()).await?);
+        let input = Input { mesh: uploaded, file_name: file_name(path) };
+        let wanted = v1::CreateJobRequest {
+            request_id: Uuid::new_v4().to_string(),
+            mesh: mesh.clone(),
+            file_name: file_name(&args.original),
+            spec: Some(convert::spec_to_wire(&Spec::evaluating(input, args.evaluate()))),
+            ..v1::CreateJobRequest::default()
+        };
+        let job = create(&remote, wanted).await?.name;
+        wait(&remote, &job).await?;
+        verdict(&remote, &job).await?;
+        let figures = serde_json::from_slice(&remote.file(&job, "comparison.json").await?);
+        let figures = figures.map_err(|e| {
+            let text = format!("comparison.json of {job}: {e}: run the same version as the server");
+            Failure::new(Exit::Failed, text)
+        });
+        compared.0.push(figures?);
+        if args.sheet.is_some() {
+            compared.1 = Some(remote.file(&job, "contact-0.png").await?);
+        }
+    }
+    Ok(compared)
 }
 
 /// Reads a model file into a mesh.

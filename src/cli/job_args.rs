@@ -138,6 +138,7 @@ impl JobArgs {
             max_secs: self.max_secs,
             seed: self.seed,
             simplified: None,
+            evaluate: None,
         };
         checked(spec)
     }

@@ -72,7 +72,7 @@ enum Command {
     /// Make a mesh that any tool has simplified look more like its original.
     Optimize(Box<optimize::OptimizeCommandArgs>),
     /// Tell how much a simplified mesh looks like its original: pictures and distances.
-    Compare(compare::CompareArgs),
+    Compare(Box<compare::CompareArgs>),
     /// Take any level of detail out of a progressive mesh.
     Extract(extract::ExtractArgs),
     /// Write a sample model to try things on.
@@ -152,7 +152,7 @@ async fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Fetch(args) => fetch::run(args).await,
         Command::Run(args) => run::run(args).await,
         Command::Optimize(args) => optimize::run(*args).await,
-        Command::Compare(args) => compare::run(&args),
+        Command::Compare(args) => compare::run(*args).await,
         Command::Extract(args) => extract::run(&args),
         Command::Sample(args) => sample::run(&args),
         Command::Token(args) => token::run(&args),

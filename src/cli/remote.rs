@@ -19,7 +19,10 @@ use lookalike::{
     },
 };
 use prost::bytes::Bytes;
-use tokio::{io::AsyncWriteExt, time::Instant};
+use tokio::{
+    io::{AsyncWrite, AsyncWriteExt},
+    time::Instant,
+};
 use tonic::{Response, Status};
 use uuid::Uuid;
 
@@ -224,24 +227,46 @@ impl Remote {
             Failure::new(Exit::Failed, format!("{}: {error}; free some space", part.display()))
         };
         let mut out = tokio::fs::File::create(&part).await.map_err(fault)?;
+        self.copy(artifact, &mut out, fault).await?;
+        tokio::fs::rename(&part, &path).await.map_err(fault)
+    }
+
+    /// The bytes of an artifact of a job that has succeeded.
+    pub(crate) async fn file(&self, job: &str, name: &str) -> Result<Vec<u8>, Failure> {
+        let suffix = format!("/{name}");
+        let artifact = self.artifacts(job).await?.into_iter().find(|a| a.name.ends_with(&suffix));
+        let mut bytes = Vec::new();
+        let fault = |error: std::io::Error| Failure::new(Exit::Failed, error.to_string());
+        self.copy(&self.present(artifact)?, &mut bytes, fault).await?;
+        Ok(bytes)
+    }
+
+    /// Writes an artifact to `out`; fails where it is not what it should be.
+    async fn copy(
+        &self,
+        artifact: &v1::Artifact,
+        out: &mut (impl AsyncWrite + Unpin),
+        fault: impl Fn(std::io::Error) -> Failure,
+    ) -> Result<(), Failure> {
         let mut hasher = blake3::Hasher::new();
         let mut patience = Patience::new(self);
-        while let Err(status) = self.read(artifact, &mut out, &mut hasher).await.map_err(fault)? {
+        while let Err(status) = self.read(artifact, out, &mut hasher).await.map_err(&fault)? {
             patience.after(status).await?;
         }
-        out.flush().await.map_err(fault)?;
+        out.flush().await.map_err(&fault)?;
         if hasher.finalize().to_hex().as_str() != artifact.blake3 {
-            let text = format!("{file} arrived damaged: fetch it again with `lookalike fetch`");
+            let name = &artifact.name;
+            let text = format!("{name} arrived damaged: fetch it again with `lookalike fetch`");
             return Err(Failure::new(Exit::Failed, text));
         }
-        tokio::fs::rename(&part, &path).await.map_err(fault)
+        Ok(())
     }
 
     /// Reads on from what `hasher` has seen. The inner result is the server's.
     async fn read(
         &self,
         artifact: &v1::Artifact,
-        out: &mut tokio::fs::File,
+        out: &mut (impl AsyncWrite + Unpin),
         hasher: &mut blake3::Hasher,
     ) -> std::io::Result<Result<(), Status>> {
         let (name, offset) = (artifact.name.clone(), hasher.count());

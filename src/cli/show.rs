@@ -5,7 +5,7 @@ use std::io::Write;
 use lookalike::{
     jobs::{
         event::{Body, Event, Report},
-        spec::Spec,
+        spec::{Kind, Spec},
         state::State,
     },
     service::{convert, proto::v1},
@@ -65,7 +65,11 @@ pub(crate) fn job_line(job: &v1::Job) -> String {
     let state = state_of(job).map_or("UNKNOWN", State::name);
     let spec = convert::spec_from_wire(job.spec.clone()).0;
     let levels: Vec<_> = (0..spec.n_levels()).map(|i| level_words(&spec, i)).collect();
-    let what = spec.simplified.map_or_else(|| levels.join(","), |i| i.file_name);
+    let simplified = spec.simplified.as_ref().map_or("", |input| &input.file_name);
+    let what = match spec.kind() {
+        Kind::Simplify => levels.join(","),
+        kind => format!("{} {simplified}", kind.name()),
+    };
     let percent = job.fraction * 100.0;
     format!("{}  {state:<9}  {percent:>3.0}%  {what}  {}\n", job.name, job.file_name)
 }

@@ -126,7 +126,7 @@ pub(crate) async fn submit(
 }
 
 /// Follows the job to its end. The first Ctrl-C cancels the job, the second one only this command.
-async fn wait(remote: &Remote, job: &str) -> Result<(), Failure> {
+pub(crate) async fn wait(remote: &Remote, job: &str) -> Result<(), Failure> {
     let mut bar = Bar::new();
     bar.line(&format!("{job} created"));
     let mut cancelled = false;
@@ -150,7 +150,11 @@ async fn wait(remote: &Remote, job: &str) -> Result<(), Failure> {
     end
 }
 
-async fn create(remote: &Remote, request: v1::CreateJobRequest) -> Result<v1::Job, Failure> {
+/// Queues a job.
+pub(crate) async fn create(
+    remote: &Remote,
+    request: v1::CreateJobRequest,
+) -> Result<v1::Job, Failure> {
     let answer = remote.call(|mut client| {
         let request = request.clone();
         async move { client.create_job(request).await }

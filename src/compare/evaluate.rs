@@ -8,7 +8,7 @@
 //!
 //! Source: Lindstrom & Turk 2000, section 4; views, light and material as restated there.
 
-use std::fmt::Write;
+use std::{convert::Infallible, fmt::Write};
 
 use serde::{Deserialize, Serialize};
 
@@ -18,7 +18,7 @@ use crate::{
     metric::{
         bounding_sphere,
         image::{d2_percent, mean_square_difference},
-        surface::{SurfaceDistance, SurfaceParams, surface_distance},
+        surface::{SurfaceDistance, SurfaceParams, try_surface_distance},
     },
     render::view::{Projection, View, ViewParams, cameras, directions},
 };
@@ -75,6 +75,36 @@ pub struct Comparison {
     pub metro: Option<SurfaceDistance>,
 }
 
+/// What is worked at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// The pictures that d2 is taken of.
+    Pictures,
+    /// The distance between the surfaces.
+    Distance,
+    /// The contact sheet.
+    Sheet,
+}
+
+impl Part {
+    /// The name that is shown.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Pictures => "pictures",
+            Self::Distance => "distance",
+            Self::Sheet => "sheet",
+        }
+    }
+}
+
+/// Hears from any thread that so large a share of a part begins; its error ends the work.
+pub type Tick<'t, E> = &'t (dyn Fn(Part, f64) -> Result<(), E> + Sync);
+
+/// Hears nothing, ends nothing.
+pub(super) fn never_ends(_: Part, _: f64) -> Result<(), Infallible> {
+    Ok(())
+}
+
 /// An original with its pictures, to compare any number of meshes with.
 pub struct Reference<'m> {
     original: &'m Mesh,
@@ -86,6 +116,16 @@ pub struct Reference<'m> {
 impl<'m> Reference<'m> {
     /// Draws the original in all 24 views; the pictures take `24 · image_size² · 4` bytes.
     pub fn new(original: &'m Mesh, params: &Params) -> Self {
+        let Ok(reference) = Self::try_new(original, params, &never_ends);
+        reference
+    }
+
+    /// [`Self::new`], which may be ended: half of [`Part::Pictures`].
+    pub fn try_new<E: Send>(
+        original: &'m Mesh,
+        params: &Params,
+        tick: Tick<'_, E>,
+    ) -> Result<Self, E> {
         let views = cameras(
             &bounding_sphere(original),
             &ViewParams {
@@ -94,23 +134,42 @@ impl<'m> Reference<'m> {
             },
         );
         let drawable = Drawable::luminance(original, &params.look);
-        let pictures = pictures(&drawable, &views, &params.look);
-        Self { original, params: params.clone(), views, pictures }
+        let half = |share: f64| tick(Part::Pictures, share / 2.0);
+        let pictures = pictures(&drawable, &views, &params.look, &half)?;
+        Ok(Self { original, params: params.clone(), views, pictures })
     }
 
     /// Compares one mesh with the original.
     pub fn compare(&self, simplified: &Mesh) -> Comparison {
+        let Ok(comparison) = self.try_compare(simplified, &never_ends);
+        comparison
+    }
+
+    /// [`Self::compare`], which may be ended: the other half of [`Part::Pictures`], and [`Part::Distance`].
+    pub fn try_compare<E: Send>(
+        &self,
+        simplified: &Mesh,
+        tick: Tick<'_, E>,
+    ) -> Result<Comparison, E> {
         let look = &self.params.look;
         let mut drawable = Drawable::luminance(simplified, look);
         if self.params.stored_normals {
             drawable = drawable.with_stored_normals();
         }
-        let drawn = pictures(&drawable, &self.views, look);
+        let half = |share: f64| tick(Part::Pictures, share / 2.0);
+        let drawn = pictures(&drawable, &self.views, look, &half)?;
         let mean_squares: Vec<f64> = (self.pictures.iter().zip(&drawn))
             .map(|(a, b)| mean_square_difference(a.as_flattened(), b.as_flattened()))
             .collect();
         let d2 = d2_percent(&mean_squares);
-        Comparison {
+        let of_distance = |share: f64| tick(Part::Distance, share);
+        let metro = match &self.params.surface {
+            Some(surface) => {
+                try_surface_distance(self.original, simplified, surface, &of_distance)?
+            }
+            None => None,
+        };
+        Ok(Comparison {
             triangles_original: self.original.faces.len(),
             triangles_simplified: simplified.faces.len(),
             d2_percent: d2,
@@ -120,9 +179,8 @@ impl<'m> Reference<'m> {
             appearance: look.appearance,
             image_size: look.image_size,
             supersampling: look.supersampling,
-            metro: (self.params.surface.as_ref())
-                .and_then(|surface| surface_distance(self.original, simplified, surface)),
-        }
+            metro,
+        })
     }
 }
 
@@ -166,6 +224,30 @@ pub fn report_text(comparison: &Comparison) -> String {
         );
     }
     text
+}
+
+/// The comparison in one sentence, for a log.
+pub fn summary(comparison: &Comparison) -> String {
+    let c = comparison;
+    let n_views = c.per_view.len();
+    let mut text = format!(
+        "d2 is {:.4} % of full scale ({:.4} of 255) over {n_views} views",
+        c.d2_percent, c.d2_255
+    );
+    if let Some(m) = &c.metro {
+        // Writing to a String cannot fail.
+        let _ = write!(
+            text,
+            ", the surfaces are {:.5} % of the bounding box's diagonal apart on average and {:.4} % at most",
+            m.mean, m.max
+        );
+    }
+    text
+}
+
+/// One comparison, or a list of them, as files and standard output have it.
+pub fn json<T: Serialize>(comparisons: &T) -> serde_json::Result<String> {
+    serde_json::to_string_pretty(comparisons).map(|json| json + "\n")
 }
 
 /// Camera parameters without directions.

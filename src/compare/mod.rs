@@ -14,9 +14,13 @@ mod skin;
 mod texture;
 mod torus;
 
-pub use evaluate::{Comparison, Params, Reference, compare, report_text};
+pub use evaluate::{
+    Comparison, Params, Part, Reference, Tick, compare, json, report_text, summary,
+};
 pub use plot::{CurvePoint, PlotParams, PlotX, energy_plot};
 pub use raster::{Appearance, Look, Shading};
 pub use sample::sample_mesh;
-pub use sheet::{Axis, SheetParams, SheetView, all_round_views, sheet, sheet_multi, sheets};
+pub use sheet::{
+    Axis, SheetParams, SheetView, all_round_views, sheet, sheet_multi, sheets, try_sheet,
+};
 pub use torus::textured_torus;

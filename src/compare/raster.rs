@@ -213,18 +213,21 @@ impl<'m, const N: usize> Drawable<'m, N> {
 }
 
 /// Draws the mesh in each view, in parallel, one view at a time per thread: `image_size²` pixels
-/// each, row after row from the top.
-pub fn pictures<const N: usize>(
+/// each, row after row from the top. `tick` hears from any thread that so large a share of the views begins; its
+/// error ends the work.
+pub fn pictures<const N: usize, E: Send>(
     drawable: &Drawable<'_, N>,
     views: &[View],
     look: &Look,
-) -> Vec<Vec<[f32; N]>> {
+    tick: &(dyn Fn(f64) -> Result<(), E> + Sync),
+) -> Result<Vec<Vec<[f32; N]>>, E> {
     let look = &Look {
         image_size: look.image_size.max(1),
         supersampling: look.supersampling.max(1),
         ..*look
     };
-    views.par_iter().map(|view| picture(drawable, view, look)).collect()
+    let share = 1.0 / views.len() as f64;
+    views.par_iter().map(|view| tick(share).map(|()| picture(drawable, view, look))).collect()
 }
 
 /// Pixel rows drawn at a time: half a megabyte of samples at 512² and 4 × 4.

@@ -1,5 +1,7 @@
 //! Tests of the off-line rasteriser.
 
+use std::convert::Infallible;
+
 use super::*;
 use crate::{
     mesh::{AttributeLayer, Material},
@@ -32,7 +34,9 @@ fn small() -> Look {
 fn draw(mesh: &Mesh, look: &Look) -> Vec<[f32; 1]> {
     let unit = BoundingSphere { center: DVec3::ZERO, radius: 1.0 };
     let drawable = Drawable::luminance(mesh, look);
-    pictures(&drawable, &[front_view(&unit)], look).remove(0)
+    let Ok(mut drawn) =
+        pictures(&drawable, &[front_view(&unit)], look, &|_| Ok::<_, Infallible>(()));
+    drawn.remove(0)
 }
 
 #[test]

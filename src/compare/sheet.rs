@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 use super::{
     canvas::{Canvas, Rgb, text_width},
-    evaluate::view_params,
+    evaluate::{Part, Tick, never_ends, view_params},
     raster::{Appearance, Drawable, Look, pictures},
 };
 use crate::{
@@ -105,6 +105,14 @@ impl SheetParams {
         let views = views.into_iter().map(SheetView::from_direction).collect();
         Self { look: look_of(288), up, views, tile: 288, ..Self::default() }
     }
+
+    /// Pictures of the same surface as those of `look`, at the sheet's own size and light.
+    #[must_use]
+    pub fn of_surface(mut self, look: &Look) -> Self {
+        let Look { shading, appearance, hides_back_faces, .. } = *look;
+        self.look = Look { shading, appearance, hides_back_faces, ..self.look };
+        self
+    }
 }
 
 /// Five views: from all sides, a little from above, and from below.
@@ -122,23 +130,39 @@ pub fn all_round_views(up: Axis) -> Vec<SheetView> {
 
 /// Draws rows of original, simplified and difference; returns a PNG file.
 pub fn sheet(original: &Mesh, simplified: &Mesh, params: &SheetParams) -> Vec<u8> {
-    sheets(original, &[simplified], params).pop().unwrap_or_default()
+    let Ok(png) = try_sheet(original, simplified, params, &never_ends);
+    png
+}
+
+/// [`sheet`], which may be ended: [`Part::Sheet`].
+pub fn try_sheet<E: Send>(
+    original: &Mesh,
+    simplified: &Mesh,
+    params: &SheetParams,
+    tick: Tick<'_, E>,
+) -> Result<Vec<u8>, E> {
+    let half = |part: Part, share: f64| tick(part, share / 2.0);
+    let reference = Portraits::try_new(original, original, params, &half)?;
+    let portraits = Portraits::try_new(original, simplified, params, &half)?;
+    Ok(sheet_against(&reference, &portraits, (original, simplified), params))
 }
 
 /// [`sheet`] for each level, in parallel; the original is drawn once.
 pub fn sheets(original: &Mesh, levels: &[&Mesh], params: &SheetParams) -> Vec<Vec<u8>> {
     let reference = Portraits::new(original, original, params);
-    let draw = |mesh: &&Mesh| sheet_against(&reference, original, mesh, params);
+    let draw = |mesh: &&Mesh| {
+        let portraits = Portraits::new(original, mesh, params);
+        sheet_against(&reference, &portraits, (original, mesh), params)
+    };
     levels.par_iter().map(draw).collect()
 }
 
 fn sheet_against(
     reference: &Portraits,
-    original: &Mesh,
-    simplified: &Mesh,
+    portraits: &Portraits,
+    (original, simplified): (&Mesh, &Mesh),
     params: &SheetParams,
 ) -> Vec<u8> {
-    let portraits = Portraits::new(original, simplified, params);
     let tile = params.tile.max(1);
     let page = Page { tile, columns: 3, rows: params.views.len() };
     let mut canvas = page.canvas();
@@ -195,13 +219,25 @@ struct Portraits {
 
 impl Portraits {
     fn new(original: &Mesh, mesh: &Mesh, params: &SheetParams) -> Self {
+        let Ok(portraits) = Self::try_new(original, mesh, params, &never_ends);
+        portraits
+    }
+
+    fn try_new<E: Send>(
+        original: &Mesh,
+        mesh: &Mesh,
+        params: &SheetParams,
+        tick: Tick<'_, E>,
+    ) -> Result<Self, E> {
         let (views, look) = (sheet_cameras(original, params), &params.look);
-        Self {
-            side: look.image_size.max(1),
-            luminance: pictures(&Drawable::luminance(mesh, look), &views, look),
-            coloured: (look.appearance == Appearance::Coloured)
-                .then(|| pictures(&Drawable::display(mesh, look), &views, look)),
-        }
+        let has_colours = look.appearance == Appearance::Coloured;
+        let n_passes = if has_colours { 2.0 } else { 1.0 };
+        let tick = |share: f64| tick(Part::Sheet, share / n_passes);
+        let coloured = has_colours
+            .then(|| pictures(&Drawable::display(mesh, look), &views, look, &tick))
+            .transpose()?;
+        let luminance = pictures(&Drawable::luminance(mesh, look), &views, look, &tick)?;
+        Ok(Self { side: look.image_size.max(1), luminance, coloured })
     }
 
     /// One view in the colours of the screen.
@@ -393,81 +429,5 @@ impl Page {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// A tetrahedron with one corner on top.
-    fn tetrahedron(height: f64) -> Mesh {
-        Mesh::from_parts(
-            vec![
-                DVec3::new(-1.0, 0.0, -1.0),
-                DVec3::new(1.0, 0.0, -1.0),
-                DVec3::new(0.0, 0.0, 1.0),
-                DVec3::new(0.0, height, 0.0),
-            ],
-            vec![[0, 1, 2], [1, 0, 3], [2, 1, 3], [0, 2, 3]],
-        )
-    }
-
-    fn small() -> SheetParams {
-        let look = Look { image_size: 64, ..Look::default() };
-        SheetParams { look, tile: 48, ..SheetParams::default() }
-    }
-
-    fn size(png: &[u8]) -> (u32, u32) {
-        let read = image::load_from_memory(png).unwrap();
-        (read.width(), read.height())
-    }
-
-    #[test]
-    fn sheets_have_a_column_for_each_mesh_and_a_row_for_each_view() {
-        let (a, b) = (tetrahedron(2.0), tetrahedron(1.5));
-        let (frame_x, frame_y) = (2 * 28 - 10, 2 * 28 - 10 + 74 + 58);
-        assert_eq!(size(&sheet(&a, &b, &small())), (3 * 58 + frame_x, 5 * 58 + frame_y));
-        let multi = sheet_multi(&a, &[&b, &b, &a], &small());
-        assert_eq!(size(&multi), (4 * 58 + frame_x, 10 * 58 + frame_y));
-    }
-
-    #[test]
-    fn the_difference_of_equal_meshes_is_black() {
-        let mesh = tetrahedron(2.0);
-        let portraits = Portraits::new(&mesh, &mesh, &small());
-        let (tile, caption) = portraits.difference(&portraits, 0, &small());
-        assert!(tile.iter().all(|p| *p == [0, 0, 0]));
-        assert_eq!(caption, "d2 0.00 %");
-        let taller = Portraits::new(&mesh, &tetrahedron(1.5), &small());
-        let (tile, _) = taller.difference(&portraits, 0, &small());
-        assert!(tile.iter().any(|p| p[0] > 100));
-    }
-
-    #[test]
-    fn the_chosen_axis_points_to_the_top() {
-        let mesh = tetrahedron(2.0);
-        for up in [Axis::X, Axis::Y, Axis::Z] {
-            let params = SheetParams { up, views: all_round_views(up), ..small() };
-            for view in sheet_cameras(&mesh, &params) {
-                let center = bounding_sphere(&mesh).center;
-                let (low, high) = (view.project(center), view.project(center + axes(up).0 * 0.1));
-                assert!((high.x - low.x).abs() < 1e-9 && high.y < low.y, "{view:?}");
-            }
-        }
-    }
-
-    #[test]
-    fn heat_runs_from_black_through_red_and_yellow_to_white_ever_lighter() {
-        assert_eq!((heat(0.0), heat(1.0)), ([0; 3], [255; 3]));
-        assert!(matches!(heat(0.4), [180..=255, 0, 0]), "{:?}", heat(0.4));
-        assert!(matches!(heat(0.9), [255, 180..=255, 0]), "{:?}", heat(0.9));
-        let sums: Vec<u32> =
-            (0..=50).map(|i| heat(f64::from(i) / 50.0).map(u32::from).iter().sum()).collect();
-        assert!(sums.is_sorted());
-    }
-
-    #[test]
-    fn numbers_are_grouped() {
-        assert_eq!(
-            [7, 1_000, 69_451, 1_234_567].map(thousands),
-            ["7", "1,000", "69,451", "1,234,567"]
-        );
-    }
-}
+#[path = "sheet_tests.rs"]
+mod tests;

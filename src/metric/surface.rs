@@ -10,6 +10,8 @@
 //!
 //! Source: Cignoni, Rocchini & Scopigno, Metro: measuring error on simplified surfaces, 1998.
 
+use std::convert::Infallible;
+
 use glam::DVec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -59,16 +61,29 @@ pub fn surface_distance(
     simplified: &Mesh,
     params: &SurfaceParams,
 ) -> Option<SurfaceDistance> {
+    let Ok(found) = try_surface_distance(original, simplified, params, &never_ends);
+    found
+}
+
+/// [`surface_distance`], which `tick` hears of from any thread: that the work on so large a share of the points
+/// begins. Its error ends the work.
+pub fn try_surface_distance<E: Send>(
+    original: &Mesh,
+    simplified: &Mesh,
+    params: &SurfaceParams,
+    tick: &(dyn Fn(f64) -> Result<(), E> + Sync),
+) -> Result<Option<SurfaceDistance>, E> {
     let ((a, tree_a), (b, tree_b)) = rayon::join(|| prepare(original), || prepare(simplified));
     let (low, high) = bounds(a.iter().flatten().copied());
     let diagonal = (high - low).length();
     if a.is_empty() || b.is_empty() || diagonal <= 0.0 {
-        return None;
+        return Ok(None);
     }
-    let forth = one_direction(original, &a, &tree_b, params);
-    let back = one_direction(simplified, &b, &tree_a, params);
+    let half = |share: f64| tick(share / 2.0);
+    let forth = one_direction(original, &a, &tree_b, (params, &half))?;
+    let back = one_direction(simplified, &b, &tree_a, (params, &half))?;
     let percent = |distance: f64| 100.0 * distance / diagonal;
-    Some(SurfaceDistance {
+    Ok(Some(SurfaceDistance {
         mean: percent(f64::midpoint(forth.mean, back.mean)),
         rms: percent(f64::midpoint(forth.mean_square, back.mean_square).sqrt()),
         max: percent(forth.max.max(back.max)),
@@ -77,7 +92,11 @@ pub fn surface_distance(
         max_original_to_simplified: percent(forth.max),
         max_simplified_to_original: percent(back.max),
         samples_per_direction: params.samples,
-    })
+    }))
+}
+
+fn never_ends(_: f64) -> Result<(), Infallible> {
+    Ok(())
 }
 
 /// An original to measure many meshes by, by evenly spread points alone: quicker than
@@ -104,7 +123,8 @@ impl Ruler {
         let mean = |from: &[Triangle], to: &Bvh| {
             let n = self.params.samples.max(1) as usize;
             let spread = Spread::new(from, n, self.params.seed);
-            sums_over_runs(n, |i| spread.point(from, i), to).distance / n as f64
+            let Ok(sums) = sums_over_runs(n, |i| spread.point(from, i), to, &never_ends);
+            sums.distance / n as f64
         };
         Some(f64::midpoint(mean(&self.triangles, &tree), mean(&triangles, &self.tree)))
     }
@@ -134,30 +154,40 @@ fn prepare(mesh: &Mesh) -> (Vec<Triangle>, Bvh) {
     (triangles.clone(), Bvh::new(triangles))
 }
 
-fn one_direction(
+fn one_direction<E: Send>(
     from: &Mesh,
     triangles: &[Triangle],
     to: &Bvh,
-    params: &SurfaceParams,
-) -> Direction {
+    (params, tick): (&SurfaceParams, &(dyn Fn(f64) -> Result<(), E> + Sync)),
+) -> Result<Direction, E> {
     let n = params.samples.max(1) as usize;
     let spread = Spread::new(triangles, n, params.seed);
-    let evenly = sums_over_runs(n, |i| spread.point(triangles, i), to);
     let mut used = vec![false; from.positions.len()];
     from.faces.iter().flatten().for_each(|v| used[*v as usize] = true);
     let vertices: Vec<DVec3> =
         from.positions.iter().zip(used).filter_map(|(p, used)| used.then_some(*p)).collect();
-    let at_vertices = sums_over_runs(vertices.len(), |i| vertices[i], to);
-    Direction {
+    let share_of_points = n as f64 / (n + vertices.len()) as f64;
+    let of_points = |share: f64| tick(share * share_of_points);
+    let of_vertices = |share: f64| tick(share * (1.0 - share_of_points));
+    let evenly = sums_over_runs(n, |i| spread.point(triangles, i), to, &of_points)?;
+    let at_vertices = sums_over_runs(vertices.len(), |i| vertices[i], to, &of_vertices)?;
+    Ok(Direction {
         mean: evenly.distance / n as f64,
         mean_square: evenly.distance2 / n as f64,
         max: evenly.max2.max(at_vertices.max2).sqrt(),
-    }
+    })
 }
 
 /// Sums of runs of fixed length, added in order: the same on any number of threads.
-fn sums_over_runs(n: usize, point: impl Fn(usize) -> DVec3 + Sync, to: &Bvh) -> Sums {
+fn sums_over_runs<E: Send>(
+    n: usize,
+    point: impl Fn(usize) -> DVec3 + Sync,
+    to: &Bvh,
+    tick: &(dyn Fn(f64) -> Result<(), E> + Sync),
+) -> Result<Sums, E> {
+    let n_runs = n.div_ceil(RUN);
     let run = |first: usize| {
+        tick(1.0 / n_runs as f64)?;
         let (mut sums, mut hint) = (Sums::default(), usize::MAX);
         for i in first..(first + RUN).min(n) {
             let nearest = to.nearest(point(i), hint);
@@ -166,14 +196,14 @@ fn sums_over_runs(n: usize, point: impl Fn(usize) -> DVec3 + Sync, to: &Bvh) -> 
             sums.distance2 += nearest.distance2;
             sums.max2 = sums.max2.max(nearest.distance2);
         }
-        sums
+        Ok(sums)
     };
-    let runs: Vec<Sums> = (0..n.div_ceil(RUN)).into_par_iter().map(|k| run(k * RUN)).collect();
-    runs.iter().fold(Sums::default(), |all, s| Sums {
+    let runs: Result<Vec<Sums>, E> = (0..n_runs).into_par_iter().map(|k| run(k * RUN)).collect();
+    Ok(runs?.iter().fold(Sums::default(), |all, s| Sums {
         distance: all.distance + s.distance,
         distance2: all.distance2 + s.distance2,
         max2: all.max2.max(s.max2),
-    })
+    }))
 }
 
 /// An even spread of points: the surface's area is laid out in a line, cut into as many equal
@@ -279,6 +309,24 @@ mod tests {
         let once = surface_distance(&a, &b, &few());
         assert_eq!(once, surface_distance(&a, &b, &few()));
         assert_ne!(once, surface_distance(&a, &b, &SurfaceParams { seed: 8, ..few() }));
+    }
+
+    #[test]
+    fn whoever_hears_of_it_hears_of_all_of_it_and_may_end_it() {
+        use std::sync::Mutex;
+
+        let (a, b) = (square(0.0), square(0.1));
+        let (heard, most) = (Mutex::new(0.0), Mutex::new(f64::INFINITY));
+        let tick = |share: f64| {
+            let mut heard = heard.lock().unwrap();
+            *heard += share;
+            if *heard > *most.lock().unwrap() { Err("enough") } else { Ok(()) }
+        };
+        let measured = try_surface_distance(&a, &b, &few(), &tick);
+        assert_eq!(measured, Ok(surface_distance(&a, &b, &few())));
+        assert!((*heard.lock().unwrap() - 1.0).abs() < 1e-9);
+        *most.lock().unwrap() = 1.5;
+        assert_eq!(try_surface_distance(&a, &b, &few(), &tick), Err("enough"));
     }
 
     #[test]

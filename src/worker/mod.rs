@@ -21,6 +21,7 @@ mod clock;
 pub mod confine;
 mod course;
 mod critic;
+pub mod evaluating;
 mod gauge;
 mod illustrator;
 mod levels;

@@ -13,7 +13,7 @@ use std::{
 };
 
 use crate::{
-    io,
+    io::{self, Ingest},
     jobs::{
         event::Report,
         spec::{Spec, Topology},
@@ -31,6 +31,7 @@ use super::{
     automatic::Model,
     chosen::Facts,
     critic::Critic,
+    evaluating,
     gauge::Gauge,
     illustrator::{Plan, draw_ahead},
     optimizing, params,
@@ -108,7 +109,7 @@ pub struct ModelFile<'a> {
 pub struct Inputs<'a> {
     /// The original.
     pub original: ModelFile<'a>,
-    /// What some tool has simplified it to, where the job is to optimize that.
+    /// What some tool has simplified it to, where the job is to optimize that or to compare the two.
     pub simplified: Option<ModelFile<'a>>,
 }
 
@@ -151,9 +152,34 @@ pub fn run(
     (device, tape): (&DeviceChoice, &Tape),
     on: &mut dyn FnMut(Report) -> ControlFlow<()>,
 ) -> Result<(), PipelineError> {
+    match (&asked.evaluate, read(inputs)?) {
+        (Some(evaluate), (original, Some(simplified))) => {
+            evaluating::run(evaluate, (&original, &simplified), out_dir, on)
+        }
+        (_, inputs) => make_levels(asked, inputs, out_dir, (device, tape), on),
+    }
+}
+
+/// Reads the models. Where there are two, the reason why one cannot be read says which.
+fn read(inputs: &Inputs<'_>) -> Result<(Ingest, Option<Ingest>), PipelineError> {
     let read = |file: &ModelFile<'_>| io::read(file.name, file.bytes, &io::Limits::default());
-    let (original, simplified) =
-        (read(&inputs.original)?, inputs.simplified.as_ref().map(read).transpose()?);
+    let Some(simplified) = &inputs.simplified else { return Ok((read(&inputs.original)?, None)) };
+    let named = |what: &str, file: &ModelFile<'_>| {
+        let text = |e: io::IoError| format!("the {what}, {e}");
+        read(file).map_err(|e| PipelineError::Job { code: e.code(), text: text(e) })
+    };
+    let original = named("original", &inputs.original)?;
+    Ok((original, Some(named("simplified mesh", simplified)?)))
+}
+
+/// Simplifies the original, or takes what is simplified already, and optimizes that.
+fn make_levels(
+    asked: &Spec,
+    (original, simplified): (Ingest, Option<Ingest>),
+    out_dir: &Path,
+    (device, tape): (&DeviceChoice, &Tape),
+    on: &mut dyn FnMut(Report) -> ControlFlow<()>,
+) -> Result<(), PipelineError> {
     let ingest = original.report;
     let n_simplified = simplified.as_ref().map(|s| s.mesh.faces.len());
     let model = Model { report: &ingest, n_triangles: original.mesh.faces.len(), n_simplified };

@@ -31,8 +31,8 @@ const PARTS: [(Method, [(Stage, f64); 3]); 3] = [
 /// See the module.
 #[derive(Debug)]
 pub(super) struct Progress {
-    parts: Vec<(Stage, f64)>,
-    stage: Stage,
+    parts: Vec<(&'static str, f64)>,
+    stage: &'static str,
     told: Instant,
     history: VecDeque<(Instant, f64)>,
 }
@@ -43,13 +43,18 @@ impl Progress {
         let method = if spec.simplified.is_some() { Method::Cluster } else { spec.method };
         let row = PARTS.iter().find(|row| row.0 == method);
         let occurs = |p: &(Stage, f64)| p.0 != Stage::Optimize || spec.optimizes();
-        let parts = row.map(|row| row.1.into_iter().filter(occurs).collect());
-        let parts = parts.unwrap_or_default();
-        Self { parts, stage: Stage::Memoryless, told: now, history: VecDeque::new() }
+        let parts = row.into_iter().flat_map(|row| row.1).filter(occurs);
+        Self::of(parts.map(|(stage, part)| (stage.name(), part)).collect(), now)
     }
 
-    /// A stage begins.
-    pub fn enter(&mut self, stage: Stage) {
+    /// Of a job that begins now, with stages of its own and the parts of its time that they take.
+    pub fn of(parts: Vec<(&'static str, f64)>, now: Instant) -> Self {
+        let stage = parts.first().map_or("", |p| p.0);
+        Self { parts, stage, told: now, history: VecDeque::new() }
+    }
+
+    /// A stage begins, or goes on.
+    pub fn enter(&mut self, stage: &'static str) {
         self.stage = stage;
     }
 
@@ -61,7 +66,7 @@ impl Progress {
         self.told = now;
         let fraction = self.fraction(done.clamp(0.0, 1.0));
         let eta_secs = self.estimate(now, fraction);
-        Some(Report::Progress { stage: self.stage.name().into(), fraction, eta_secs })
+        Some(Report::Progress { stage: self.stage.into(), fraction, eta_secs })
     }
 
     /// Of the whole job, 0 to 1.

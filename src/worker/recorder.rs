@@ -10,7 +10,7 @@
 use std::{ops::ControlFlow, time::Instant};
 
 use crate::{
-    io::IngestReport,
+    io::{IngestReport, Note},
     jobs::{
         event::{EnergySample, MoveCount, Report},
         spec::Spec,
@@ -44,7 +44,6 @@ pub struct Recorder<'a> {
     is_cancelled: bool,
     is_out_of_time: bool,
     progress: Progress,
-    stage: Stage,
     stage_span: (usize, usize),
     n_faces: usize,
     /// The level that is being optimized.
@@ -74,7 +73,6 @@ impl<'a> Recorder<'a> {
             is_cancelled: false,
             is_out_of_time: false,
             progress: Progress::new(spec, Instant::now()),
-            stage: Stage::Memoryless,
             stage_span: (0, 0),
             n_faces: base.faces.len(),
             branch: None,
@@ -83,21 +81,7 @@ impl<'a> Recorder<'a> {
 
     /// Tells what was read, with every remark. `what` is read out: `model`, `simplified mesh`.
     pub fn announce(&mut self, what: &str, report: &IngestReport) -> Result<(), PipelineError> {
-        let text = format!(
-            "{what}: read {} triangles, {} vertices, {} components, {} boundary edges, {} \
-             non-manifold edges; {} degenerate triangles dropped",
-            report.triangles,
-            report.vertices,
-            report.components,
-            report.boundary_edges,
-            report.non_manifold_edges,
-            report.degenerate_dropped
-        );
-        self.note("MODEL_READ", &text)?;
-        for n in &report.notes {
-            self.note(&n.code.to_uppercase(), &format!("{} ({} times)", n.text, n.count))?;
-        }
-        Ok(())
+        announcement(what, report).into_iter().try_for_each(|note| self.tell(note))
     }
 
     /// A remark for the event log.
@@ -127,9 +111,8 @@ impl<'a> Recorder<'a> {
 
     /// A stage begins; if it simplifies, from so many triangles down to so many.
     pub fn enter(&mut self, stage: Stage, from: usize, to: usize) {
-        self.stage = stage;
         self.stage_span = (from, to.min(from));
-        self.progress.enter(stage);
+        self.progress.enter(stage.name());
     }
 
     /// Whether the wall-clock cap of the job, or of the level being optimized, ended the work.
@@ -312,6 +295,26 @@ impl<'a> Recorder<'a> {
             None => ControlFlow::Continue(()),
         }
     }
+}
+
+/// What was read, with every remark.
+pub(super) fn announcement(what: &str, report: &IngestReport) -> Vec<Report> {
+    let text = format!(
+        "{what}: read {} triangles, {} vertices, {} components, {} boundary edges, {} \
+         non-manifold edges; {} degenerate triangles dropped",
+        report.triangles,
+        report.vertices,
+        report.components,
+        report.boundary_edges,
+        report.non_manifold_edges,
+        report.degenerate_dropped
+    );
+    let read = Report::Note { code: "MODEL_READ".into(), text };
+    let remark = |n: &Note| {
+        let text = format!("{} ({} times)", n.text, n.count);
+        Report::Note { code: n.code.to_uppercase(), text }
+    };
+    std::iter::once(read).chain(report.notes.iter().map(remark)).collect()
 }
 
 /// Counts of moves as jobs tell them.

@@ -5,7 +5,7 @@ use std::{fmt::Write as _, fs, path::Path};
 use serde::Serialize;
 
 use crate::{
-    compare::{self, Look},
+    compare,
     io::IngestReport,
     jobs::{event::EnergySample, spec::Spec},
     mesh::{Mesh, Stage},
@@ -263,17 +263,12 @@ fn write_pictures(
 ) -> Result<(), PipelineError> {
     let chain: Vec<&Mesh> = levels.in_order().map(|l| &l.mesh).collect();
     let drawn = look(spec, original);
-    let with_look = |mut params: compare::SheetParams| {
-        let Look { shading, appearance, hides_back_faces, .. } = drawn;
-        params.look = Look { shading, appearance, hides_back_faces, ..params.look };
-        params
-    };
-    let params = with_look(compare::SheetParams::default());
+    let params = compare::SheetParams::default().of_surface(&drawn);
     let sheets = compare::sheets(original, &chain, &params);
     for (i, png) in sheets.iter().enumerate() {
         out.write(&format!("contact-{i}.png"), "image/png", png)?;
     }
-    let params = with_look(compare::SheetParams::chain(compare::Axis::Y));
+    let params = compare::SheetParams::chain(compare::Axis::Y).of_surface(&drawn);
     let png = compare::sheet_multi(original, &chain, &params);
     out.write("levels.png", "image/png", &png)
 }

@@ -12,6 +12,7 @@ mod assemblies;
 mod bad_input;
 mod budgets;
 mod determinism;
+mod evaluating;
 mod large;
 mod locks;
 mod looks;

@@ -15,6 +15,7 @@ mod auth;
 mod bad_input;
 mod chaos;
 mod command_line;
+mod evaluate;
 mod farm;
 mod files;
 mod lint;

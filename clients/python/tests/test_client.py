@@ -1,5 +1,6 @@
 """The package against a scripted server in this process: what a sound server never does."""
 
+import json
 import random
 import threading
 from collections.abc import Iterator
@@ -16,7 +17,7 @@ from grpc_status import rpc_status
 import lookalike
 from lookalike.curve import Sample
 from lookalike.models import CHUNK
-from lookalike.spec import simplify_spec
+from lookalike.spec import evaluate_spec, job_spec, optimize_spec, simplify_spec
 from lookalike.v1 import event_pb2, job_pb2, spec_pb2
 from lookalike.v1 import lookalike_service_pb2 as api
 from lookalike.v1.lookalike_service_pb2_grpc import (
@@ -62,6 +63,10 @@ class Scripted(LookalikeServiceServicer):
         #: QueryUpload says that so much more is held.
         self.boast = 0
         self.goodbye: status_pb2.Status | None = None
+        #: Of the job.
+        self.spec = job_spec(simplify_spec(1))
+        #: The names of its files, which all have the same content.
+        self.files = ["energy.csv"]
         self.lock = threading.Lock()
         #: What calls said of who makes them.
         self.callers: list[str | None] = []
@@ -80,7 +85,7 @@ class Scripted(LookalikeServiceServicer):
         if request.name != JOB:
             context.abort_with_status(rpc_status.to_status(answer(code_pb2.NOT_FOUND, "NOT_FOUND")))
         job = job_pb2.Job(name=JOB, state=job_pb2.JOB_STATE_SUCCEEDED)
-        job.spec.simplify.triangles.append(1)
+        job.spec.CopyFrom(self.spec)
         return api.GetJobResponse(job=job)
 
     def WatchJob(self, request, context):
@@ -90,7 +95,7 @@ class Scripted(LookalikeServiceServicer):
         yield from self._until_it_breaks(rest, context)
 
     def ListArtifacts(self, request, context):
-        return api.ListArtifactsResponse(artifacts=[self.artifact("energy.csv")])
+        return api.ListArtifactsResponse(artifacts=[self.artifact(file) for file in self.files])
 
     def artifact(self, file: str) -> job_pb2.Artifact:
         digest = blake3(self.content).hexdigest()
@@ -225,6 +230,19 @@ def test_a_result_without_its_files_is_a_fault(scripted) -> None:
         client.run(JOB, progress=False).result()
 
 
+def test_the_result_of_an_evaluation_is_a_comparison(scripted, tmp_path: Path) -> None:
+    service, client = scripted
+    service.spec = job_spec(evaluate_spec("meshes/0", "crude.ply"))
+    with pytest.raises(lookalike.ProtocolFault, match="without comparison.json"):
+        client.run(JOB, progress=False).result()
+    service.files = ["comparison.json", "contact-0.png", "report.json"]
+    service.content = json.dumps({"d2_percent": 1.25}).encode()
+    for folder, names in [(None, []), (tmp_path, service.files)]:
+        result = client.run(JOB, progress=False).result(folder)
+        assert (result.lods, result.comparison) == ([], {"d2_percent": 1.25})
+        assert [path.name for path in result.paths] == names
+
+
 def test_a_broken_download_goes_on_where_it_broke(scripted, tmp_path: Path) -> None:
     service, client = scripted
     service.breaks = [3, 4]
@@ -307,6 +325,26 @@ def test_keywords_become_fields() -> None:
     assert simplify_spec(lock=["seam"], max_d2=[3, 2]) == spec_pb2.SimplifySpec(
         lock=[spec_pb2.LOCK_SEAM], level_max_d2=[3, 2]
     )
+
+
+def test_work_knows_its_kind() -> None:
+    works = {
+        "simplify": simplify_spec(7),
+        "optimize": optimize_spec("meshes/0", "a.ply", optimize_until=0.5),
+        "evaluate": evaluate_spec("meshes/0", "a.ply", shading="smooth", distance=False),
+    }
+    for kind, work in works.items():
+        spec = job_spec(work)
+        assert spec.WhichOneof("kind") == kind and getattr(spec, kind) == work
+    wanted = spec_pb2.EvaluateSpec(
+        simplified_mesh="meshes/0",
+        simplified_file_name="a.ply",
+        shading=spec_pb2.SHADING_SMOOTH,
+        distance=False,
+    )
+    assert works["evaluate"] == wanted
+    with pytest.raises(TypeError, match="`effort` is no option: use colours, distance"):
+        evaluate_spec("", "", effort="fast")
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """The package against the real server and its worker: meshes in, levels and a live log out."""
 
 import csv
+import json
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -101,6 +102,20 @@ def test_a_mesh_that_something_else_simplified_is_optimized(client: lookalike.Cl
     assert report["optimization"]["stopped_by"] == "energy"
     with pytest.raises(TypeError, match="effort"):
         client.optimize(original, crude, effort="fast")
+
+
+def test_two_meshes_are_compared(client: lookalike.Client, tmp_path: Path) -> None:
+    original, crude = ball(9), ball(9, subdivisions=3)
+    files = [tmp_path / name for name in ("original.glb", "crude.glb")]
+    for path, mesh in zip(files, (original, crude)):
+        path.write_bytes(mesh.export(file_type="glb"))
+    said = subprocess.run([BINARY, "compare", *files, "--json"], capture_output=True, check=True)
+    result = client.evaluate(original, crude, progress=False).result(tmp_path / "out")
+    assert result.comparison == json.loads(said.stdout) and result.lods == []
+    assert result.report["comparison"] == result.comparison
+    assert (tmp_path / "out" / "contact-0.png").read_bytes().startswith(b"\x89PNG")
+    alike = client.evaluate(crude, crude, distance=False, progress=False).result()
+    assert alike.comparison["d2_percent"] == 0 and alike.comparison["metro"] is None
 
 
 def test_a_scene_comes_back_as_a_scene(client: lookalike.Client) -> None:

@@ -3,7 +3,7 @@
 //! Every list names a budget of each level: as many values as there are levels or, where that makes
 //! sense, one for all. 0 stands for a budget that a level does not have.
 
-use super::{Fault, MAX_LEVELS, Method, Spec};
+use super::{Fault, Kind, MAX_LEVELS, Method, Spec};
 
 /// How far a level goes, of what [`Spec`] lists level by level. There are two kinds of budgets. A level goes on
 /// until it is as small as it should be, by `triangles` and by `max_bytes`; but no further than it may, by
@@ -36,10 +36,13 @@ const RANGES: [(&str, f64, f64, &str); 4] = [
 impl Spec {
     /// How many levels the job makes.
     pub fn n_levels(&self) -> usize {
-        if self.simplified.is_some() {
-            return 1;
+        match self.kind() {
+            Kind::Evaluate => 0,
+            Kind::Optimize => 1,
+            Kind::Simplify => {
+                self.lists().iter().map(|(_, values, _)| values.len()).max().unwrap_or(0)
+            }
         }
-        self.lists().iter().map(|(_, values, _)| values.len()).max().unwrap_or(0)
     }
 
     /// The same job with numbers of triangles beside shares of so many, which the original has.

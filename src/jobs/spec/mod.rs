@@ -1,11 +1,13 @@
 //! What a job is asked to do: plain data, validated as a whole, stored as JSON.
 
+mod evaluate;
 mod levels;
 mod optimize;
 mod output;
 
 use serde::{Deserialize, Serialize};
 
+pub use evaluate::Evaluate;
 pub use levels::LevelBudget;
 pub use optimize::{Optimize, Solver};
 pub use output::Output;
@@ -145,8 +147,31 @@ pub struct Input {
     pub file_name: String,
 }
 
+/// What a job does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Makes levels of detail.
+    Simplify,
+    /// Makes a mesh that some tool has simplified look more like the original.
+    Optimize,
+    /// Tells how much such a mesh looks like the original.
+    Evaluate,
+}
+
+impl Kind {
+    /// Its name on the wire.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Simplify => "simplify",
+            Self::Optimize => "optimize",
+            Self::Evaluate => "evaluate",
+        }
+    }
+}
+
 /// A whole job: simplification of the original to levels, each then optimized; or, where
-/// `simplified` is given, optimization of that mesh alone.
+/// `simplified` is given, optimization of that mesh alone; or, where `evaluate` is given too, nothing but a
+/// comparison of the two.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Spec {
@@ -171,6 +196,9 @@ pub struct Spec {
     /// A mesh that some tool has simplified the original to.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub simplified: Option<Input>,
+    /// It is compared with the original, and nothing else is done.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub evaluate: Option<Evaluate>,
     /// Image-driven or memoryless.
     #[serde(default)]
     pub method: Method,
@@ -229,6 +257,7 @@ impl Spec {
             screen_size: Vec::new(),
             max_bytes: Vec::new(),
             simplified: None,
+            evaluate: None,
             method: Method::default(),
             effort: Effort::default(),
             topology: Topology::default(),
@@ -269,12 +298,30 @@ impl Spec {
         Self { simplified: Some(simplified), ..Self::new(Vec::new()) }
     }
 
+    /// The job that compares it with the original.
+    pub fn evaluating(simplified: Input, evaluate: Evaluate) -> Self {
+        Self { evaluate: Some(evaluate), ..Self::optimizing(simplified) }
+    }
+
+    /// What the job does.
+    pub fn kind(&self) -> Kind {
+        match (&self.evaluate, &self.simplified) {
+            (Some(_), _) => Kind::Evaluate,
+            (None, Some(_)) => Kind::Optimize,
+            (None, None) => Kind::Simplify,
+        }
+    }
+
     /// Every fault of the specification; empty when it can run.
     pub fn validate(&self) -> Vec<Fault> {
         let mut faults = Vec::new();
-        match self.simplified {
-            Some(_) => self.validate_given(&mut faults),
-            None => self.validate_levels(&mut faults),
+        match self.kind() {
+            Kind::Evaluate => {
+                self.validate_evaluation(&mut faults);
+                return faults;
+            }
+            Kind::Optimize => self.validate_given(&mut faults),
+            Kind::Simplify => self.validate_levels(&mut faults),
         }
         if self.start_factor != 0.0 {
             range(&mut faults, "start_factor", self.start_factor, 1.0, 1000.0);

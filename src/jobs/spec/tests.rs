@@ -139,6 +139,53 @@ fn optimization_has_faults_of_its_own() {
 }
 
 #[test]
+fn an_evaluation_takes_meshes_as_they_are() {
+    let input = Input { mesh: "a".repeat(64), file_name: "crude.ply".into() };
+    let looks = Evaluate {
+        shading: Shading::Smooth,
+        colours: true,
+        distance: false,
+        ..Evaluate::default()
+    };
+    let sound = Spec::evaluating(input, looks);
+    assert_eq!((sound.validate(), sound.n_levels(), sound.kind()), (vec![], 0, Kind::Evaluate));
+    let text = serde_json::to_string(&sound).unwrap();
+    assert_eq!(serde_json::from_str::<Spec>(&text).unwrap(), sound);
+    let check = |change: fn(&mut Spec), wanted: &str| {
+        let mut spec = sound.clone();
+        change(&mut spec);
+        assert_eq!(fields(&spec), [wanted]);
+    };
+    let cases: [(fn(&mut Spec), &str); 20] = [
+        (|s| s.simplified = None, "simplified"),
+        (|s| s.triangles = vec![9], "triangles"),
+        (|s| s.ratios = vec![0.5], "ratios"),
+        (|s| s.max_d2 = vec![1.0], "max_d2"),
+        (|s| s.screen_size = vec![300.0], "screen_size"),
+        (|s| s.max_bytes = vec![9000], "max_bytes"),
+        (|s| s.method = Method::Memoryless, "method"),
+        (|s| s.effort = Effort::Best, "effort"),
+        (|s| s.topology = Topology::Free, "topology"),
+        (|s| s.start_factor = 4.0, "start_factor"),
+        (|s| s.lambda = 0.1, "lambda"),
+        (|s| s.lock = vec![Lock::Seam], "lock"),
+        (|s| s.hard_edge_degrees = 30.0, "hard_edge_degrees"),
+        (|s| s.render.shading = Shading::Smooth, "render.shading"),
+        (|s| s.render.view_weights = vec![1], "render.view_weights"),
+        (|s| s.optimize.max_evaluations = Some(0), "optimize.max_evaluations"),
+        (|s| s.output.compress = true, "output"),
+        (|s| s.max_evaluations = 9, "max_evaluations"),
+        (|s| s.max_secs = f64::NAN, "max_secs"),
+        (|s| s.seed = 1, "seed"),
+    ];
+    cases.into_iter().for_each(|(change, wanted)| check(change, wanted));
+    // All at once.
+    let mut spec = sound;
+    (spec.seed, spec.render.n_views, spec.triangles) = (1, 7, vec![0]);
+    assert_eq!(fields(&spec), ["render.n_views", "seed", "triangles"]);
+}
+
+#[test]
 fn numbers_survive_storage() {
     let mut spec = Spec::new(vec![10]);
     spec.seed = u64::MAX;

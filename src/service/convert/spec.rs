@@ -2,8 +2,8 @@
 
 use super::{mesh_hash, mesh_name, v1};
 use crate::jobs::spec::{
-    Effort, Fault, Input, Lock, Method, Optimize, Output, Projection, Render, Shading, Solver,
-    Spec, Topology,
+    Effort, Evaluate, Fault, Input, Lock, Method, Optimize, Output, Projection, Render, Shading,
+    Solver, Spec, Topology,
 };
 
 const METHODS: [(v1::Method, Method); 3] = [
@@ -55,7 +55,7 @@ const WIRE_NAMES: [(&str, &str); 5] = [
 /// Where a field of a create request with this specification is found on the wire.
 pub fn field_on_wire(spec: &Spec, field: &str) -> String {
     let Some(inner) = field.strip_prefix("spec.") else { return field.into() };
-    let kind = if spec.simplified.is_some() { "optimize" } else { "simplify" };
+    let kind = spec.kind().name();
     let renamed = |(ours, theirs): &(&str, &str)| {
         let rest =
             inner.strip_prefix(ours).filter(|r| r.is_empty() || r.starts_with(['.', '[']))?;
@@ -66,9 +66,12 @@ pub fn field_on_wire(spec: &Spec, field: &str) -> String {
 
 /// A specification on the wire, with every default written out.
 pub fn spec_to_wire(spec: &Spec) -> v1::JobSpec {
-    let kind = match &spec.simplified {
-        Some(input) => v1::job_spec::Kind::Optimize(optimize_to_wire(spec, input)),
-        None => v1::job_spec::Kind::Simplify(simplify_to_wire(spec)),
+    let kind = match (&spec.evaluate, &spec.simplified) {
+        (Some(evaluate), input) => {
+            v1::job_spec::Kind::Evaluate(evaluate_to_wire(evaluate, input.as_ref()))
+        }
+        (None, Some(input)) => v1::job_spec::Kind::Optimize(optimize_to_wire(spec, input)),
+        (None, None) => v1::job_spec::Kind::Simplify(simplify_to_wire(spec)),
     };
     v1::JobSpec { kind: Some(kind) }
 }
@@ -110,6 +113,18 @@ fn optimize_to_wire(spec: &Spec, input: &Input) -> v1::OptimizeSpec {
         lock: locks_to_wire(spec),
         hard_edge_degrees: Some(spec.hard_edge_degrees),
         output: Some(output_to_wire(spec.output)),
+    }
+}
+
+fn evaluate_to_wire(evaluate: &Evaluate, input: Option<&Input>) -> v1::EvaluateSpec {
+    v1::EvaluateSpec {
+        simplified_mesh: input.map_or_else(String::new, |input| mesh_name(&input.mesh)),
+        simplified_file_name: input.map_or_else(String::new, |input| input.file_name.clone()),
+        shading: to_wire(&SHADINGS, evaluate.shading),
+        colours: evaluate.colours,
+        hide_back_faces: evaluate.hide_back_faces,
+        stored_normals: evaluate.stored_normals,
+        distance: Some(evaluate.distance),
     }
 }
 
@@ -156,8 +171,12 @@ pub fn spec_from_wire(wire: Option<v1::JobSpec>) -> (Spec, Vec<Fault>) {
     let spec = match wire.and_then(|spec| spec.kind) {
         Some(v1::job_spec::Kind::Simplify(wire)) => simplify_from_wire(wire, &mut faults),
         Some(v1::job_spec::Kind::Optimize(wire)) => optimize_from_wire(wire, &mut faults),
+        Some(v1::job_spec::Kind::Evaluate(wire)) => evaluate_from_wire(wire, &mut faults),
         None => {
-            let text = "missing, or of a kind this server does not know: use `simplify`".into();
+            let text =
+                "missing, or of a kind this server does not know: use `simplify`, `optimize` or \
+                        `evaluate`"
+                    .into();
             faults.push(Fault { field: "spec".into(), text });
             Spec::new(vec![1])
         }
@@ -228,6 +247,19 @@ fn optimize_from_wire(wire: v1::OptimizeSpec, faults: &mut Vec<Fault>) -> Spec {
         output: output_from_wire(wire.output),
         ..default
     }
+}
+
+fn evaluate_from_wire(wire: v1::EvaluateSpec, faults: &mut Vec<Fault>) -> Spec {
+    let mesh = mesh_hash(&wire.simplified_mesh);
+    let input = Input { mesh, file_name: wire.simplified_file_name };
+    let evaluate = Evaluate {
+        shading: from_wire(&SHADINGS, wire.shading, "shading", faults),
+        colours: wire.colours,
+        hide_back_faces: wire.hide_back_faces,
+        stored_normals: wire.stored_normals,
+        distance: wire.distance.unwrap_or(Evaluate::default().distance),
+    };
+    Spec::evaluating(input, evaluate)
 }
 
 fn output_from_wire(wire: Option<v1::Output>) -> Output {
@@ -314,6 +346,7 @@ mod tests {
                 lock: levels.3,
                 hard_edge_degrees: x[5] / 3.0,
                 simplified: None,
+                evaluate: None,
                 method: words.0,
                 effort: words.1,
                 topology: words.2,
@@ -362,10 +395,25 @@ mod tests {
         Spec { topology, render, optimize, output, max_evaluations, max_secs, seed, ..base }
     }
 
+    /// The comparison of the two.
+    fn evaluating(spec: &Spec) -> Spec {
+        let input = Input { mesh: "0".repeat(64), file_name: "crude.ply".into() };
+        let evaluate = Evaluate {
+            shading: spec.render.shading,
+            colours: spec.output.quantize,
+            hide_back_faces: spec.render.hide_back_faces,
+            stored_normals: spec.output.compress,
+            distance: spec.seed % 2 == 0,
+        };
+        Spec::evaluating(input, evaluate)
+    }
+
     proptest! {
         #[test]
         fn specifications_survive_the_wire(spec in spec()) {
             prop_assert_eq!(spec_from_wire(Some(spec_to_wire(&spec))), (spec.clone(), vec![]));
+            let other = evaluating(&spec);
+            prop_assert_eq!(spec_from_wire(Some(spec_to_wire(&other))), (other, vec![]));
             let spec = optimizing(spec);
             prop_assert_eq!(spec_from_wire(Some(spec_to_wire(&spec))), (spec, vec![]));
         }
@@ -395,6 +443,13 @@ mod tests {
         for (ours, wire) in [
             ("spec.optimize", "spec.optimize.optimization"),
             ("spec.simplified.mesh", "spec.optimize.simplified_mesh"),
+        ] {
+            assert_eq!(field_on_wire(&spec, ours), wire);
+        }
+        let spec = Spec { evaluate: Some(Evaluate::default()), ..spec };
+        for (ours, wire) in [
+            ("spec.shading", "spec.evaluate.shading"),
+            ("spec.simplified.file_name", "spec.evaluate.simplified_file_name"),
         ] {
             assert_eq!(field_on_wire(&spec, ours), wire);
         }

@@ -21,7 +21,7 @@ from blake3 import blake3
 
 from lookalike import access, errors, models, spec
 from lookalike.run import Run
-from lookalike.v1 import event_pb2, job_pb2, spec_pb2
+from lookalike.v1 import event_pb2, job_pb2
 from lookalike.v1 import lookalike_service_pb2 as api
 from lookalike.v1.lookalike_service_pb2_grpc import LookalikeServiceStub
 
@@ -126,6 +126,32 @@ class Client:
         like = trimesh.Trimesh if isinstance(simplified, trimesh.Trimesh) else trimesh.Scene
         return Run(self, job.name, progress=progress, like=like)
 
+    def evaluate(
+        self,
+        original: models.Model,
+        simplified: models.Model,
+        *,
+        file_name: str | None = None,
+        simplified_file_name: str | None = None,
+        request_id: str | None = None,
+        labels: Mapping[str, str] | None = None,
+        progress: bool = True,
+        **options: Any,
+    ) -> Run:
+        """Tells how much `simplified` looks like `original`: `run.result().comparison`.
+
+        d2 of pictures in 24 views that no job works with, and the distance between the surfaces, as
+        by `lookalike compare`. Keywords are the fields of EvaluateSpec, such as shading="smooth",
+        colours=True, distance=False; everything else is as in `simplify`.
+        """
+        spec.evaluate_spec("", "", **options)  # as above: before the uploads
+        source = models.source(original, file_name)
+        crude = models.source(simplified, simplified_file_name)
+        mesh = self.upload(source)
+        work = spec.evaluate_spec(self.upload(crude), crude.file_name, **options)
+        job = self.create(mesh, source.file_name, work, request_id=request_id, labels=labels)
+        return Run(self, job.name, progress=progress)
+
     def upload(self, model: models.Model | models.Source, file_name: str | None = None) -> str:
         """Stores a model file; its name, `meshes/{hash}`. What is there is not sent again."""
         source = model if isinstance(model, models.Source) else models.source(model, file_name)
@@ -168,13 +194,11 @@ class Client:
         labels: Mapping[str, str] | None = None,
     ) -> job_pb2.Job:
         """Queues a job for an uploaded mesh; `labels` are what to call it by, to find it again."""
-        is_simplify = isinstance(work, spec_pb2.SimplifySpec)
-        kind: Any = {"simplify" if is_simplify else "optimize": work}
         request = api.CreateJobRequest(
             request_id=request_id or str(uuid.uuid4()),
             mesh=mesh,
             file_name=file_name,
-            spec=spec_pb2.JobSpec(**kind),
+            spec=spec.job_spec(work),
             labels=labels or {},
         )
         return self._call(lambda: self._stub.CreateJob(request)).job

@@ -25,12 +25,14 @@ class Result:
     """What a job that succeeded leaves."""
 
     job: job_pb2.Job
-    #: The levels of detail, in the order asked for.
+    #: The levels of detail, in the order asked for; none of an evaluation.
     lods: list[models.Geometry]
     #: `report.json`.
     report: dict[str, Any]
     #: Where the files were written; empty when no folder was given.
     paths: list[Path]
+    #: `comparison.json` of an evaluation; None of other jobs.
+    comparison: dict[str, Any] | None = None
 
 
 class Run:
@@ -89,6 +91,10 @@ class Run:
         if job.state != job_pb2.JOB_STATE_SUCCEEDED:
             raise errors.JobFailed(job.name, job.failure.reason, job.failure.text)
         paths = [] if folder is None else self._client.fetch(job.name, folder)
+        if job.spec.WhichOneof("kind") == "evaluate":
+            files = self._files(["comparison.json", "report.json"], paths)
+            report, comparison = (json.loads(files[f"{n}.json"]) for n in ("report", "comparison"))
+            return Result(job, [], report, paths, comparison)
         # A mesh that was simplified already is one level.
         asked = job.spec.simplify
         budgets = (

@@ -14,9 +14,9 @@ from google.protobuf.descriptor import Descriptor, EnumDescriptor, FieldDescript
 
 from lookalike.v1 import spec_pb2
 
-#: Either kind of job.
-Work = spec_pb2.SimplifySpec | spec_pb2.OptimizeSpec
-_W = TypeVar("_W", spec_pb2.SimplifySpec, spec_pb2.OptimizeSpec)
+#: Any kind of job.
+Work = spec_pb2.SimplifySpec | spec_pb2.OptimizeSpec | spec_pb2.EvaluateSpec
+_W = TypeVar("_W", spec_pb2.SimplifySpec, spec_pb2.OptimizeSpec, spec_pb2.EvaluateSpec)
 
 #: Fields that hold fields of their own, and what those are prefixed with as keywords.
 _GROUPS = {"render": "", "optimization": "optimize_", "output": ""}
@@ -62,6 +62,19 @@ def optimize_spec(mesh: str, file_name: str, **options: Any) -> spec_pb2.Optimiz
     """The specification of the optimization of a mesh that is simplified already, likewise."""
     spec = spec_pb2.OptimizeSpec(simplified_mesh=mesh, simplified_file_name=file_name)
     return _with_options(spec, options)
+
+
+def evaluate_spec(mesh: str, file_name: str, **options: Any) -> spec_pb2.EvaluateSpec:
+    """The specification of the comparison of a simplified mesh with its original, likewise."""
+    spec = spec_pb2.EvaluateSpec(simplified_mesh=mesh, simplified_file_name=file_name)
+    return _with_options(spec, options)
+
+
+def job_spec(work: Work) -> spec_pb2.JobSpec:
+    """The same as the specification of a job, which says of what kind it is."""
+    fields = spec_pb2.JobSpec.DESCRIPTOR.oneofs_by_name["kind"].fields
+    kind: Any = {f.name: work for f in fields if f.message_type == work.DESCRIPTOR}
+    return spec_pb2.JobSpec(**kind)
 
 
 def _with_options(spec: _W, options: dict[str, Any]) -> _W:
