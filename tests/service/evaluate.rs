@@ -35,6 +35,7 @@ async fn evaluated(client: &mut Client, original: Vec<u8>, simplified: Vec<u8>) 
         spec: Some(spec_to_wire(&Spec::evaluating(input, Evaluate::default()))),
         webhook_url: String::new(),
         priority: 0,
+        labels: std::collections::HashMap::new(),
     };
     client.create_job(request).await.unwrap().into_inner().job.unwrap().name
 }
