@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 use super::{
     canvas::{Canvas, Rgb, text_width},
-    evaluate::{Part, Tick, never_ends, view_params},
+    evaluate::{NEVER_ENDS, Part, Tick, view_params},
     raster::{Appearance, Drawable, Look, pictures},
 };
 use crate::{
@@ -130,7 +130,7 @@ pub fn all_round_views(up: Axis) -> Vec<SheetView> {
 
 /// Draws rows of original, simplified and difference; returns a PNG file.
 pub fn sheet(original: &Mesh, simplified: &Mesh, params: &SheetParams) -> Vec<u8> {
-    let Ok(png) = try_sheet(original, simplified, params, &never_ends);
+    let Ok(png) = try_sheet(original, simplified, params, NEVER_ENDS);
     png
 }
 
@@ -219,7 +219,7 @@ struct Portraits {
 
 impl Portraits {
     fn new(original: &Mesh, mesh: &Mesh, params: &SheetParams) -> Self {
-        let Ok(portraits) = Self::try_new(original, mesh, params, &never_ends);
+        let Ok(portraits) = Self::try_new(original, mesh, params, NEVER_ENDS);
         portraits
     }
 

@@ -140,10 +140,10 @@ fn watched<T: Send>(
             let (part, done) = *reached.lock().unwrap_or_else(PoisonError::into_inner);
             progress.enter(part.name());
             let told = progress.tell(Instant::now(), done).map_or(Ok(()), &mut *tell);
-            if told.is_err() {
+            if let Err(cancelled) = told {
                 is_stopped.store(true, Ordering::Relaxed);
                 let _ = working.join();
-                return told.and(Err(PipelineError::Cancelled));
+                return Err(cancelled);
             }
         }
         match working.join() {

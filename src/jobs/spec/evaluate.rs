@@ -8,6 +8,7 @@ use super::{Fault, Shading, Spec};
 /// How much the simplified mesh looks like the original: pictures in 24 views that no job works with, and distances.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
+#[expect(clippy::struct_excessive_bools, reason = "independent flags of a comparison")]
 pub struct Evaluate {
     /// Flat or smooth.
     pub shading: Shading,

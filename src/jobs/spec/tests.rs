@@ -151,12 +151,13 @@ fn an_evaluation_takes_meshes_as_they_are() {
     assert_eq!((sound.validate(), sound.n_levels(), sound.kind()), (vec![], 0, Kind::Evaluate));
     let text = serde_json::to_string(&sound).unwrap();
     assert_eq!(serde_json::from_str::<Spec>(&text).unwrap(), sound);
-    let check = |change: fn(&mut Spec), wanted: &str| {
+    type Change = fn(&mut Spec);
+    let check = |change: Change, wanted: &str| {
         let mut spec = sound.clone();
         change(&mut spec);
         assert_eq!(fields(&spec), [wanted]);
     };
-    let cases: [(fn(&mut Spec), &str); 20] = [
+    let cases: [(Change, &str); 20] = [
         (|s| s.simplified = None, "simplified"),
         (|s| s.triangles = vec![9], "triangles"),
         (|s| s.ratios = vec![0.5], "ratios"),

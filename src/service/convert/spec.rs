@@ -403,7 +403,7 @@ mod tests {
             colours: spec.output.quantize,
             hide_back_faces: spec.render.hide_back_faces,
             stored_normals: spec.output.compress,
-            distance: spec.seed % 2 == 0,
+            distance: spec.seed.is_multiple_of(2),
         };
         Spec::evaluating(input, evaluate)
     }
