@@ -200,7 +200,7 @@ async fn queue(bad: Bad) -> JoinSet<()> {
             }
         }
     });
-    stream::iter(creations).buffer_unordered(16).for_each(async |_| {}).await;
+    stream::iter(creations).buffer_unordered(16).for_each(async |()| {}).await;
     JoinSet::new()
 }
 

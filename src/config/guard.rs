@@ -62,6 +62,14 @@ pub(crate) struct GuardArgs {
     /// Uploads, downloads and logs that one principal may have open.
     #[arg(long, env = "LOOKALIKE_MAX_STREAMS", default_value_t = 1000, value_name = "N")]
     max_streams: usize,
+    /// MiB a second of the uploads of one owner; more wait.
+    #[arg(
+        long,
+        env = "LOOKALIKE_MAX_UPLOAD_MIB_PER_SEC",
+        default_value = "100",
+        value_name = "MIB"
+    )]
+    max_upload_mib_per_sec: NonZeroU32,
     /// Connections that may be open, half of them from one address.
     #[arg(long, env = "LOOKALIKE_MAX_CONNECTIONS", default_value_t = 10_000, value_name = "N")]
     max_connections: usize,
@@ -122,8 +130,11 @@ impl GuardArgs {
                  {remedy}use 127.0.0.1, or accept that with --insecure-listen {name}"
             ));
         }
-        let rates =
-            Rates { requests_per_sec: self.max_requests_per_sec, max_streams: self.max_streams };
+        let rates = Rates {
+            requests_per_sec: self.max_requests_per_sec,
+            max_streams: self.max_streams,
+            upload_mib_per_sec: self.max_upload_mib_per_sec,
+        };
         let crowding = Crowding {
             max_connections: self.max_connections,
             connections_per_sec: self.max_connections_per_sec,

@@ -132,11 +132,11 @@ impl Jobs {
     /// Creates a job, unless the same request made it before. `faults` are those that the caller
     /// found already; all are reported together.
     pub async fn create(&self, new: NewJob, mut faults: Vec<Fault>) -> Result<Job> {
+        let _turn = self.0.turns.of(&new.owner).await;
         faults.extend(self.faults_of(&new).await?);
         if !faults.is_empty() {
             return Err(Error::Invalid(faults));
         }
-        let _turn = self.0.turns.of(&new.owner).await;
         let id = uuid::Uuid::now_v7().simple().to_string();
         let (job, is_new) = self.0.store.create(&id, &new, &self.0.limits).await?;
         pass(Point::CreateCommitted);

@@ -183,9 +183,9 @@ fn make_room(under_way: &mut VecDeque<AbortHandle>) {
 fn refused(address: SocketAddr, crowded: Crowded) {
     tracing::debug!(%address, ?crowded, "no connection");
     let why = match crowded {
-        Crowded::TooFast => "too fast",
-        Crowded::TooManyOfOne => "too many of one address",
-        Crowded::TooMany => "too many",
+        Crowded::Fast => "too fast",
+        Crowded::ManyOfOne => "too many of one address",
+        Crowded::Many => "too many",
     };
     metrics::counter!("lookalike_connections_refused_total", "why" => why).increment(1);
 }

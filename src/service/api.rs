@@ -1,6 +1,10 @@
 //! The public API: `lookalike.v1.LookalikeService`.
 
-use std::{pin::Pin, sync::Arc};
+use std::{
+    pin::Pin,
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 use base64::{Engine, engine::general_purpose::URL_SAFE_NO_PAD};
 use futures::{Stream, StreamExt, TryStreamExt, stream};
@@ -9,9 +13,10 @@ use tokio_util::sync::CancellationToken;
 use tonic::{Request, Response, Status, Streaming};
 
 use super::{
-    auth::call_of,
+    auth::{Rates, call_of},
     convert,
     observe::{self, Observer},
+    pace::Pace,
     proto::v1,
     status,
     status::status_of,
@@ -41,6 +46,8 @@ pub(super) struct Api {
     pub observer: Arc<Observer>,
     /// Whom jobs may have called.
     pub webhooks: Arc<WebhookRules>,
+    /// How fast the uploads of each owner may come.
+    pub uploads: Arc<Pace<String>>,
 }
 
 type BoxStream<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
@@ -65,7 +72,12 @@ impl v1::lookalike_service_server::LookalikeService for Api {
             let v1::UploadMeshHeader { size, blake3: hash, upload_id: upload, offset } = header;
             let announced = Announced { size, hash, upload, offset };
             let put = |chunks| desk.put_mesh(announced, chunks);
-            transfer::receive("mesh", parts, mesh_chunk, put).await?
+            let wait = |n_bytes: usize| {
+                let n_turns = n_bytes.div_ceil(Rates::TURN) as u32;
+                let owner = call.who.owner.clone();
+                self.uploads.turns(owner, n_turns, Instant::now(), Duration::MAX)
+            };
+            transfer::receive("mesh", parts, (mesh_chunk, wait), put).await?
         };
         tracing::info!(mesh = mesh.hash, bytes = mesh.size, existed = mesh.existed, "mesh stored");
         let StoredMesh { hash, size, existed } = mesh;

@@ -54,11 +54,11 @@ pub(super) struct Place {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Crowded {
     /// This address opens connections too fast.
-    TooFast,
-    /// This address has too many.
-    TooManyOfOne,
+    Fast,
+    /// This address has too many open.
+    ManyOfOne,
     /// All together have.
-    TooMany,
+    Many,
 }
 
 impl Crowd {
@@ -80,13 +80,13 @@ impl Crowd {
         let address = site(address);
         let mut counts = lock(&self.counts);
         if counts.total >= self.max_connections {
-            return Err(Crowded::TooMany);
+            return Err(Crowded::Many);
         }
         let of_one = counts.by_address.get(&address).copied().unwrap_or_default();
         if of_one >= self.max_connections.div_ceil(2) {
-            return Err(Crowded::TooManyOfOne);
+            return Err(Crowded::ManyOfOne);
         }
-        let wait = self.pace.turn(address, now, PATIENCE).ok_or(Crowded::TooFast)?;
+        let wait = self.pace.turn(address, now, PATIENCE).ok_or(Crowded::Fast)?;
         counts.by_address.insert(address, of_one + 1);
         counts.total += 1;
         Ok((Place { address, counts: Arc::clone(&self.counts) }, wait))
@@ -135,7 +135,7 @@ mod tests {
         let came: Vec<_> = (0..60).map(|_| enter(1)).collect();
         assert!(came[..40].iter().all(|wait| *wait == Ok(Duration::ZERO)), "{came:?}");
         assert_eq!(came[44], Ok(Duration::from_millis(500)));
-        assert_eq!(came[49..51], [Ok(Duration::from_secs(1)), Err(Crowded::TooFast)]);
+        assert_eq!(came[49..51], [Ok(Duration::from_secs(1)), Err(Crowded::Fast)]);
         assert_eq!(enter(2), Ok(Duration::ZERO));
     }
 
@@ -145,9 +145,9 @@ mod tests {
         let enter = |address: [u16; 8]| crowd.enter(address.into(), now);
         let [_first, second] = [1, 2].map(|last| enter([7, 7, 7, 7, 0, 0, 0, last]).unwrap().0);
         let third = enter([7, 7, 7, 7, 0, 0, 1, 3]).map(|_| ());
-        assert_eq!(third, Err(Crowded::TooManyOfOne), "the same site");
+        assert_eq!(third, Err(Crowded::ManyOfOne), "the same site");
         let _others = [8, 9].map(|site| enter([site; 8]).unwrap().0);
-        assert_eq!(enter([10; 8]).map(|_| ()), Err(Crowded::TooMany));
+        assert_eq!(enter([10; 8]).map(|_| ()), Err(Crowded::Many));
         drop(second);
         drop(enter([7; 8]).unwrap());
         assert_eq!(lock(&crowd.counts).by_address.len(), 3);

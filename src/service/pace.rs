@@ -33,6 +33,11 @@ impl<K: Eq + Hash> Pace<K> {
     /// How long it is until this visitor's turn, which is its own from now on; nothing if that is longer than it would
     /// wait.
     pub fn turn(&self, visitor: K, now: Instant, patience: Duration) -> Option<Duration> {
+        self.turns(visitor, 1, now, patience)
+    }
+
+    /// The same for so many turns, the first of which is waited for.
+    pub fn turns(&self, visitor: K, n: u32, now: Instant, patience: Duration) -> Option<Duration> {
         // Whoever panicked here had put in a whole time.
         let mut all = self.next.lock().unwrap_or_else(PoisonError::into_inner);
         if all.len() > MANY {
@@ -44,7 +49,7 @@ impl<K: Eq + Hash> Pace<K> {
         if wait > patience {
             return None;
         }
-        *next = turn + self.pause;
+        *next = turn + self.pause * n;
         Some(wait)
     }
 }
@@ -63,6 +68,8 @@ mod tests {
         assert_eq!(come("bob", Duration::ZERO), ms(0));
         // Who was sent away has used up nothing.
         assert_eq!(come("ann", Duration::from_millis(150)), ms(250));
+        assert_eq!(pace.turns("eve", 9, now, Duration::MAX), ms(0));
+        assert_eq!(pace.turns("eve", 9, now, Duration::MAX), ms(600));
         let later: Vec<_> = (0..5).map(|_| come("ann", Duration::from_hours(1))).collect();
         assert_eq!(later, [ms(0), ms(0), ms(0), ms(0), ms(100)]);
     }

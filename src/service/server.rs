@@ -78,12 +78,14 @@ async fn run(
 ) -> Result<(), ServeError> {
     let Doors { gate, origins, webhooks, spans } = doors;
     let web = WebLayer::new(Hosts::new(gate.asks(), &origins))?;
+    let uploads = gate.uploads();
     let gate = GateLayer::new(Arc::new(gate), jobs.clone(), spans);
     let api = Api {
         jobs: jobs.clone(),
         shutdown: shutdown.clone(),
         observer: Arc::clone(&observer),
         webhooks: Arc::new(webhooks),
+        uploads,
     };
     let worker_api = WorkerApi { jobs, shutdown: shutdown.clone(), observer };
     let (health, health_service) = tonic_health::server::health_reporter();

@@ -1,5 +1,7 @@
 //! Bytes in, chunk by chunk: client streams into a bounded channel.
 
+use std::time::Duration;
+
 use tokio::sync::mpsc;
 use tonic::{Status, Streaming, codegen::tokio_stream::StreamExt};
 
@@ -10,12 +12,12 @@ use prost::bytes::Bytes;
 /// Chunks received ahead of the disk.
 const AHEAD: usize = 8;
 
-/// Feeds the chunks of a client's stream to `put`, and counts them as bytes of `what`. A stream that breaks off puts
-/// nothing.
+/// Feeds the chunks of a client's stream to `put`, and counts them as bytes of `what`; `wait` says how long so many bytes
+/// have to. A stream that breaks off puts nothing.
 pub(super) async fn receive<M, T, F>(
     what: &'static str,
     mut messages: Streaming<M>,
-    chunk_of: fn(M) -> Option<Bytes>,
+    (chunk_of, wait): (fn(M) -> Option<Bytes>, impl Fn(usize) -> Option<Duration>),
     put: impl FnOnce(mpsc::Receiver<Bytes>) -> F,
 ) -> std::result::Result<T, Status>
 where
@@ -28,6 +30,9 @@ where
             let chunk = chunk_of(message?);
             let chunk = chunk.ok_or_else(|| status::invalid("part", "only chunks may follow"))?;
             n_bytes.increment(chunk.len() as u64);
+            if let Some(wait) = wait(chunk.len()).filter(|wait| !wait.is_zero()) {
+                tokio::time::sleep(wait).await;
+            }
             if send.send(chunk).await.is_err() {
                 // `put` gave up, and will say why.
                 break;

@@ -135,7 +135,7 @@ impl worker::worker_service_server::WorkerService for WorkerApi {
         };
         let (job, file) = (lease.job.clone(), artifact.file.clone());
         call.is_about(format!("jobs/{job}/artifacts/{file}"));
-        transfer::receive("artifact", parts, artifact_chunk, |chunks| {
+        transfer::receive("artifact", parts, (artifact_chunk, |_| None), |chunks| {
             self.jobs.put_artifact(&lease, artifact, chunks)
         })
         .await?;
@@ -156,7 +156,7 @@ impl worker::worker_service_server::WorkerService for WorkerApi {
         let lease = convert::lease_from_wire(header.lease)?;
         let announced =
             Announced { size: header.size, hash: header.blake3, ..Announced::default() };
-        transfer::receive("checkpoint", parts, piece_chunk, |chunks| {
+        transfer::receive("checkpoint", parts, (piece_chunk, |_| None), |chunks| {
             self.jobs.put_piece(&lease, (header.piece, &header.build), &announced, chunks)
         })
         .await?;

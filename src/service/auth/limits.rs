@@ -31,6 +31,19 @@ pub struct Rates {
     pub requests_per_sec: NonZeroU32,
     /// Uploads, downloads and logs that are open at a time.
     pub max_streams: usize,
+    /// Bytes of uploads of one owner, in MiB a second.
+    pub upload_mib_per_sec: NonZeroU32,
+}
+
+impl Rates {
+    /// So many bytes have a turn in the pace of uploads.
+    pub(in crate::service) const TURN: usize = 64 << 10;
+
+    /// How fast the uploads of each owner may come; a second's worth at once.
+    pub(super) fn uploads(&self) -> Pace<String> {
+        let per_sec = self.upload_mib_per_sec.get().saturating_mul(((1 << 20) / Self::TURN) as u32);
+        Pace::new(per_sec, per_sec)
+    }
 }
 
 /// Counts requests and streams by owner and name.
@@ -104,10 +117,14 @@ impl Drop for OpenStream {
 mod tests {
     use super::*;
 
+    fn rates(requests_per_sec: NonZeroU32) -> Rates {
+        Rates { requests_per_sec, max_streams: 1, upload_mib_per_sec: NonZeroU32::MIN }
+    }
+
     #[test]
     fn each_principal_has_its_own_share() {
         let requests_per_sec = NonZeroU32::new(2).unwrap();
-        let limiter = Limiter::new(Rates { requests_per_sec, max_streams: 1 });
+        let limiter = Limiter::new(rates(requests_per_sec));
         for _ in 0..4 {
             limiter.request("ann").unwrap();
         }
@@ -123,8 +140,7 @@ mod tests {
 
     #[test]
     fn strangers_are_answered_ever_later() {
-        let rates = Rates { requests_per_sec: NonZeroU32::MIN, max_streams: 1 };
-        let limiter = Limiter::new(rates);
+        let limiter = Limiter::new(rates(NonZeroU32::MIN));
         let [here, there] = [1, 2].map(|last| Some(IpAddr::from([127, 0, 0, last])));
         let waits: Vec<Duration> = (0..2000).map(|_| limiter.stranger(here)).collect();
         assert_eq!(waits[..1000].iter().max(), Some(&Duration::ZERO));

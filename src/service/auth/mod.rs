@@ -15,7 +15,7 @@ mod secret;
 mod tokens;
 mod watched;
 
-use std::{path::PathBuf, time::Duration};
+use std::{path::PathBuf, sync::Arc, time::Duration};
 
 use tonic::{Code, Request, Status, metadata::MetadataMap};
 
@@ -25,7 +25,7 @@ use self::{
     methods::{Method, Need},
     tokens::Roster,
 };
-use super::{accept::Peer, status};
+use super::{accept::Peer, pace::Pace, status};
 use crate::jobs::principal::{Act, Principal};
 
 pub use self::{jwt::JwtRules, limits::Rates, secret::Secret, tokens::issue};
@@ -59,6 +59,7 @@ pub struct Gate {
     roster: Option<Watched<Roster>>,
     keys: Option<(Watched<Keys>, JwtRules)>,
     limiter: Limiter,
+    uploads: Arc<Pace<String>>,
 }
 
 /// Why a call is not let in.
@@ -117,7 +118,13 @@ impl Gate {
             keys.map(|keys| (keys, rules.clone()))
         });
         let (roster, keys) = (roster.transpose()?, keys.transpose()?);
-        Ok(Self { roster, keys, limiter: Limiter::new(rates) })
+        let uploads = Arc::new(rates.uploads());
+        Ok(Self { roster, keys, limiter: Limiter::new(rates), uploads })
+    }
+
+    /// How fast the uploads of each owner may come, in turns of [`Rates::TURN`] bytes.
+    pub(super) fn uploads(&self) -> Arc<Pace<String>> {
+        Arc::clone(&self.uploads)
     }
 
     /// Whether callers have to say who they are.
