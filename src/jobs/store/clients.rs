@@ -63,22 +63,22 @@ impl Filter {
             texts.push(text);
             format!("${}", texts.len() + 4)
         };
-        let mut tables = "jobs".to_owned();
-        let mut conditions = "jobs.n < $1 AND created_ms >= $3 AND created_ms < $4".to_owned();
+        let mut tables = vec!["jobs".to_owned()];
+        let mut conditions =
+            vec!["jobs.n < $1 AND created_ms >= $3 AND created_ms < $4".to_owned()];
         for (i, (key, value)) in self.labels.iter().enumerate() {
             let (key, value) = (place(key.as_str()), place(value));
-            tables += &format!(
-                " JOIN labels AS label{i} ON label{i}.n = jobs.n AND label{i}.key = {key} \
+            tables.push(format!(
+                "JOIN labels AS label{i} ON label{i}.n = jobs.n AND label{i}.key = {key} \
                  AND label{i}.value = {value}"
-            );
+            ));
         }
-        if let Some(owner) = &self.owner {
-            conditions += &format!(" AND owner = {}", place(owner));
-        }
+        conditions.extend(self.owner.iter().map(|owner| format!("owner = {}", place(owner))));
         let states: Vec<_> = self.states.iter().map(|state| place(state.name())).collect();
         if !states.is_empty() {
-            conditions += &format!(" AND state IN ({})", states.join(", "));
+            conditions.push(format!("state IN ({})", states.join(", ")));
         }
+        let (tables, conditions) = (tables.join(" "), conditions.join(" AND "));
         let query =
             format!("SELECT jobs.* FROM {tables} WHERE {conditions} ORDER BY jobs.n DESC LIMIT $2");
         (query, texts)
