@@ -18,11 +18,14 @@ use lookalike::{
     service::webhook::WebhookRules,
 };
 
-pub(crate) use self::{guard::Port, settings::Settings};
 use self::{
     guard::{Guard, GuardArgs},
     traces::TraceArgs,
     webhooks::WebhookArgs,
+};
+pub(crate) use self::{
+    guard::{Port, TlsArgs},
+    settings::Settings,
 };
 
 /// Flags of `lookalike serve`. Each can also be given as an environment variable, or in a file.

@@ -4,6 +4,7 @@ use std::{
     fs,
     net::{SocketAddr, TcpListener},
     path::{Path, PathBuf},
+    time::{SystemTime, UNIX_EPOCH},
 };
 
 use clap::Args;
@@ -15,13 +16,14 @@ use lookalike::{
         store::{Address, Store},
     },
     render::{AdapterInfo, adapters},
+    service::tls::TlsFiles,
 };
 
 use super::{
     exit::{Exit, Failure},
     show,
 };
-use crate::config::StoreArgs;
+use crate::config::{StoreArgs, TlsArgs};
 
 /// Flags of `lookalike doctor`.
 #[derive(Args, Debug)]
@@ -31,6 +33,8 @@ pub(crate) struct DoctorArgs {
     data_dir: Option<PathBuf>,
     #[command(flatten)]
     stores: StoreArgs,
+    #[command(flatten)]
+    tls: TlsArgs,
     /// The server's address.
     #[arg(long, env = "LOOKALIKE_LISTEN", default_value = "127.0.0.1:7420")]
     listen: SocketAddr,
@@ -42,6 +46,10 @@ pub(crate) struct DoctorArgs {
 /// Where Vulkan drivers register.
 const DRIVER_FOLDERS: [&str; 3] =
     ["/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/share/vulkan/icd.d"];
+
+const DAY_SECS: i64 = 86_400;
+/// A certificate that expires in less is told of.
+const SOON_DAYS: i64 = 14;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Grade {
@@ -64,9 +72,11 @@ pub(crate) async fn run(args: DoctorArgs) -> Result<(), Failure> {
     let mut faults = Vec::new();
     let data_dir = args.data_dir.as_deref();
     let places = args.stores.places(data_dir.unwrap_or(Path::new(".")), &mut faults);
+    let tls = args.tls.files(&mut faults);
     if !faults.is_empty() {
         return Err(Failure::faults(&faults));
     }
+    findings.extend(tls.map(|files| certificate(&files, SystemTime::now())));
     if let Some(address) = &places.database {
         findings.push(database(address).await);
     }
@@ -144,6 +154,32 @@ fn port(address: SocketAddr) -> Finding {
         }
     };
     Finding { what: "port", grade, text }
+}
+
+/// Whether clients will trust the certificate, as far as its files tell.
+fn certificate(files: &TlsFiles, now: SystemTime) -> Finding {
+    let what = "tls";
+    let now_secs = now.duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs() as i64);
+    let identity = match files.identity() {
+        Ok(identity) => identity,
+        Err(text) => {
+            let text = format!("{text}; see --tls-cert, --tls-key and --tls-client-ca");
+            return Finding { what, grade: Grade::Bad, text };
+        }
+    };
+    let names = identity.names.join(", ");
+    let (from, until) = identity.valid_secs;
+    let n_days = (until - now_secs).div_euclid(DAY_SECS);
+    let (grade, text) = if until < now_secs {
+        (Grade::Bad, format!("{names}: the certificate has expired: renew it"))
+    } else if from > now_secs {
+        (Grade::Bad, format!("{names}: the certificate is not good yet: see this machine's clock"))
+    } else if n_days < SOON_DAYS {
+        (Grade::Fair, format!("{names}: the certificate expires in {n_days} days: renew it"))
+    } else {
+        (Grade::Good, format!("{names}: the certificate is good for {n_days} days"))
+    };
+    Finding { what, grade, text }
 }
 
 async fn database(address: &Address) -> Finding {
@@ -239,6 +275,34 @@ mod tests {
         let finding = absent(Path::new("/proc/not/there"));
         assert_eq!(finding.grade, Grade::Bad);
         assert!(finding.text.contains("/proc/not/there"), "{}", finding.text);
+    }
+
+    #[test]
+    fn certificates_are_good_for_a_time_and_with_their_key() {
+        let folder = tempfile::tempdir().unwrap();
+        let [cert, key, other] =
+            ["cert.pem", "key.pem", "other.pem"].map(|f| folder.path().join(f));
+        let mut params = rcgen::CertificateParams::new(vec!["farm.test".to_owned()]).unwrap();
+        params.not_before = rcgen::date_time_ymd(2026, 1, 1);
+        params.not_after = rcgen::date_time_ymd(2026, 3, 1);
+        let pair = rcgen::KeyPair::generate().unwrap();
+        fs::write(&cert, params.self_signed(&pair).unwrap().pem()).unwrap();
+        fs::write(&key, pair.serialize_pem()).unwrap();
+        fs::write(&other, rcgen::KeyPair::generate().unwrap().serialize_pem()).unwrap();
+        let files = TlsFiles { cert, key, client_ca: None };
+        // 2026-01-01, and days after it.
+        let check = |files: &TlsFiles, day: i64, grade: Grade, text: &str| {
+            let secs = 1_767_225_600 + day * DAY_SECS;
+            let found =
+                certificate(files, UNIX_EPOCH + std::time::Duration::from_secs(secs as u64));
+            assert_eq!(found.grade, grade, "{found:?}");
+            assert!(found.text.contains(text), "{found:?}");
+        };
+        check(&files, 9, Grade::Good, "farm.test: the certificate is good for 50 days");
+        check(&files, 50, Grade::Fair, "expires in 9 days");
+        check(&files, 60, Grade::Bad, "expired");
+        check(&files, -1, Grade::Bad, "not good yet");
+        check(&TlsFiles { key: other, ..files }, 9, Grade::Bad, "--tls-key");
     }
 
     #[test]

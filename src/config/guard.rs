@@ -41,15 +41,8 @@ pub(crate) struct GuardArgs {
     /// The claim of JWTs that names the role: viewer, user, worker, admin.
     #[arg(long, env = "LOOKALIKE_JWT_ROLE_CLAIM", default_value = "role", value_name = "NAME")]
     jwt_role_claim: String,
-    /// The server's certificate and those that lead to its authority, in PEM; read again when changed.
-    #[arg(long, env = "LOOKALIKE_TLS_CERT", value_name = "FILE")]
-    tls_cert: Option<PathBuf>,
-    /// The certificate's private key, in PEM.
-    #[arg(long, env = "LOOKALIKE_TLS_KEY", value_name = "FILE")]
-    tls_key: Option<PathBuf>,
-    /// The authorities of client certificates, in PEM; --tokens says who is who.
-    #[arg(long, env = "LOOKALIKE_TLS_CLIENT_CA", value_name = "FILE")]
-    tls_client_ca: Option<PathBuf>,
+    #[command(flatten)]
+    tls: TlsArgs,
     /// Let pages of this origin, https://HOST or https://HOST:PORT, call from a browser.
     #[arg(long, env = "LOOKALIKE_ALLOW_ORIGIN", value_delimiter = ',', value_name = "ORIGIN")]
     allow_origin: Vec<Origin>,
@@ -78,6 +71,20 @@ pub(crate) struct GuardArgs {
     max_connections_per_sec: NonZeroU32,
 }
 
+/// Flags of the encryption.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct TlsArgs {
+    /// The server's certificate and those that lead to its authority, in PEM; read again when changed.
+    #[arg(long, env = "LOOKALIKE_TLS_CERT", value_name = "FILE")]
+    tls_cert: Option<PathBuf>,
+    /// The certificate's private key, in PEM.
+    #[arg(long, env = "LOOKALIKE_TLS_KEY", value_name = "FILE")]
+    tls_key: Option<PathBuf>,
+    /// The authorities of client certificates, in PEM; --tokens says who is who.
+    #[arg(long, env = "LOOKALIKE_TLS_CLIENT_CA", value_name = "FILE")]
+    tls_client_ca: Option<PathBuf>,
+}
+
 /// Who may call, how much, and under which encryption.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Guard {
@@ -91,6 +98,21 @@ pub(crate) struct Guard {
     pub(crate) exposed: Vec<Port>,
 }
 
+impl TlsArgs {
+    /// The files; adds what is wrong to `faults`.
+    pub(crate) fn files(self, faults: &mut Vec<String>) -> Option<TlsFiles> {
+        let client_ca = self.tls_client_ca;
+        match (self.tls_cert, self.tls_key) {
+            (Some(cert), Some(key)) => return Some(TlsFiles { cert, key, client_ca }),
+            (None, None) if client_ca.is_none() => {}
+            _ => {
+                faults.push("TLS needs a certificate and its key: --tls-cert and --tls-key".into());
+            }
+        }
+        None
+    }
+}
+
 impl GuardArgs {
     /// The same as a whole; adds what is wrong with it to `faults`.
     pub(crate) fn check(
@@ -99,9 +121,10 @@ impl GuardArgs {
         metrics: SocketAddr,
         faults: &mut Vec<String>,
     ) -> Guard {
-        let tls = self.tls(faults);
+        let has_client_ca = self.tls.tls_client_ca.is_some();
+        let tls = self.tls.clone().files(faults);
         let credentials = self.credentials(faults);
-        if self.tls_client_ca.is_some() && credentials.tokens.is_none() {
+        if has_client_ca && credentials.tokens.is_none() {
             faults
                 .push("--tls-client-ca: --tokens FILE must say whose the certificates are".into());
         }
@@ -140,18 +163,6 @@ impl GuardArgs {
             connections_per_sec: self.max_connections_per_sec,
         };
         Guard { credentials, tls, rates, crowding, origins: self.allow_origin, exposed }
-    }
-
-    fn tls(&self, faults: &mut Vec<String>) -> Option<TlsFiles> {
-        let client_ca = self.tls_client_ca.clone();
-        match (self.tls_cert.clone(), self.tls_key.clone()) {
-            (Some(cert), Some(key)) => return Some(TlsFiles { cert, key, client_ca }),
-            (None, None) if client_ca.is_none() => {}
-            _ => {
-                faults.push("TLS needs a certificate and its key: --tls-cert and --tls-key".into());
-            }
-        }
-        None
     }
 
     fn credentials(&self, faults: &mut Vec<String>) -> Credentials {

@@ -1,6 +1,6 @@
 //! TLS for the server's TCP socket: rustls with ring.
 
-use std::{path::PathBuf, sync::Arc};
+use std::{fs, path::PathBuf, sync::Arc};
 
 use tokio_rustls::{
     TlsAcceptor,
@@ -23,6 +23,31 @@ pub struct TlsFiles {
     pub key: PathBuf,
     /// The authorities of client certificates; where there are none, clients need none.
     pub client_ca: Option<PathBuf>,
+}
+
+/// What a server's certificate says.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Identity {
+    /// DNS names and URIs.
+    pub names: Vec<String>,
+    /// From when to when it is good, in seconds since 1970.
+    pub valid_secs: (i64, i64),
+}
+
+impl TlsFiles {
+    /// What the certificate says, if all files can be used together; else why not.
+    pub fn identity(&self) -> Result<Identity, String> {
+        ServerTls::open(self)?;
+        let fault = |what: &str| format!("{}: {what}", self.cert.display());
+        let pem = fs::read(&self.cert).map_err(|error| fault(&error.to_string()))?;
+        let chain = certificates(&pem).map_err(|text| fault(&text))?;
+        let first = chain.first().ok_or_else(|| fault("there is no certificate in it"))?;
+        let (_, parsed) =
+            x509_parser::parse_x509_certificate(first).map_err(|e| fault(&e.to_string()))?;
+        let valid = parsed.validity();
+        let valid_secs = (valid.not_before.timestamp(), valid.not_after.timestamp());
+        Ok(Identity { names: certificate_names(first), valid_secs })
+    }
 }
 
 /// What TLS connections are accepted with.
