@@ -1,6 +1,10 @@
 //! The command line as scripts use it.
 
-use std::{fs, process::Stdio};
+use std::{
+    fs,
+    process::Stdio,
+    time::{Duration, Instant},
+};
 
 use lookalike::jobs::state::State;
 
@@ -65,9 +69,11 @@ async fn a_running_job_is_cancelled() {
         Some(job["name"].as_str()?.to_owned())
     })
     .await;
+    let asked = Instant::now();
     let cancelled = server.run("cancel", &[&name]);
     assert!(cancelled.status.success(), "{cancelled:?}");
     assert!(text(&cancelled.stdout).contains("CANCELLED"));
+    assert!(asked.elapsed() < Duration::from_secs(2), "confirmed after {:?}", asked.elapsed());
     assert_eq!(submit.wait_with_output().unwrap().status.code(), Some(130));
     // The worker is free again.
     let mut client = server.client();
