@@ -73,6 +73,7 @@ pub(crate) struct GuardArgs {
 
 /// Flags of the encryption.
 #[derive(Args, Clone, Debug)]
+#[expect(clippy::struct_field_names, reason = "they are the names of the flags")]
 pub(crate) struct TlsArgs {
     /// The server's certificate and those that lead to its authority, in PEM; read again when changed.
     #[arg(long, env = "LOOKALIKE_TLS_CERT", value_name = "FILE")]
