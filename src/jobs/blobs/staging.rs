@@ -56,7 +56,8 @@ impl Drop for Staged {
             0..=FREED => drop(fs::remove_file(&self.path)),
             size => {
                 let path = self.path.clone();
-                thread::spawn(move || give_up(&path, size));
+                // Without a thread to spare it is an orphan.
+                let _ = thread::Builder::new().spawn(move || give_up(&path, size));
             }
         }
     }
