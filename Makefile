@@ -71,9 +71,9 @@ torture:
 bench:
 	$(CARGO) bench
 
-# docs/results.md and its pictures, anew (QUICK=1 leaves the long runs out).
+# docs/results.md and its pictures, anew (QUICK=1 leaves the long runs out; JOBS=8 runs beside one another, two cores each).
 results: build
-	python3 benches/results.py $(if $(QUICK),--quick)
+	python3 benches/results.py $(if $(QUICK),--quick) $(if $(JOBS),--jobs $(JOBS))
 
 # Known vulnerabilities and yanked versions: asks the network, and so is not part of `make test`.
 advisories:

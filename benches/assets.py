@@ -8,6 +8,8 @@ import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
+import cores
+
 SHARES = (0.25, 0.10, 0.03, 0.01)
 #: What ends a level that has as few triangles as was asked.
 REACHED = ("triangles", "ratio")
@@ -37,10 +39,16 @@ class Model:
     mebibytes: float
     levels: list[Level]
 
+    def told(self) -> str:
+        """In a line: that of the table."""
+        return table([self]).splitlines()[-1]
+
 
 def timed(command: list[str | Path]) -> tuple[float, float]:
     """Runs a command: processor seconds, and peak of resident memory in MiB."""
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    process = subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, preexec_fn=cores.pin
+    )
     assert process.stderr is not None
     told = process.stderr.read()
     _, status, usage = os.wait4(process.pid, 0)
@@ -64,6 +72,7 @@ def unseen_d2(binary: Path, model: Path, level: Path, report: dict) -> float:
         [binary, "compare", model, level, "--json", "--no-distance", *flags],
         capture_output=True,
         check=True,
+        preexec_fn=cores.pin,
     )
     return json.loads(told.stdout)["d2_percent"]
 
