@@ -108,7 +108,8 @@ class Row:
     after: float
     memoryless: float
     curve: list[tuple[int, float, float]]
-    picture: str
+    #: Of runs that go on to the end of their budget.
+    picture: str | None
 
     def told(self) -> str:
         """In a line."""
@@ -153,10 +154,11 @@ class Bench:
         count = str(level["triangles"])
         geometric = ["--triangles", count, "--out", plain, *MEMORYLESS]
         self.call("run", model, *geometric, "--optimize-evaluations", "0")
-        picture = f"results-{number}.png"
-        sheet_flags = ["--shading", "smooth"] if e.smooth else []
-        sheet = self.out.parent / picture
-        self.call("compare", model, start, end, "--no-distance", "--sheet", sheet, *sheet_flags)
+        picture = None if e.paper else f"results-{number}.png"
+        if picture:
+            smooth = ["--shading", "smooth"] if e.smooth else []
+            sheet = self.out.parent / picture
+            self.call("compare", model, start, end, "--no-distance", "--sheet", sheet, *smooth)
         return Row(
             experiment=e,
             triangles=level["triangles"],
@@ -239,11 +241,10 @@ def page(rows: list[Row], models: list[assets.Model], absent: list[str], jobs: i
     ]
     if absent:
         parts += ["", f"Left out, because the model is not there: {', '.join(absent)}."]
-    for row in rows:
-        e = row.experiment
+    for row in (row for row in rows if row.picture):
         parts += [
             "",
-            f"## {e.name} → {row.triangles:,} triangles, {row.evaluations:,} evaluations",
+            f"## {row.experiment.name} → {row.triangles:,} triangles, {row.evaluations:,} evaluations",
             "",
             f"![original, start and end, with differences below]({row.picture})",
         ]

@@ -9,8 +9,13 @@ use futures::{StreamExt, stream};
 use lookalike::{
     jobs::event::{EnergySample, Report},
     service::{
+        auth::Secret,
+        client::{Access, Connection, connection},
         convert::report_to_wire,
-        proto::{v1, worker::v1 as wire},
+        proto::{
+            v1,
+            worker::v1::{self as wire, worker_service_client::WorkerServiceClient},
+        },
     },
 };
 use tokio::task::JoinSet;
@@ -20,8 +25,16 @@ use crate::{
     page::Row,
     quantile,
     stores::Stores,
-    support::{Client, Server, create_request, small_torus, upload},
+    support::{Client, Server, create, create_request, small_torus, upload},
 };
+
+type Worker = WorkerServiceClient<Connection>;
+
+/// A worker that says who it is, or nothing.
+pub(crate) fn worker_as(server: &Server, token: Option<&str>) -> Worker {
+    let access = Access { token: token.map(Secret::new), ..Access::default() };
+    WorkerServiceClient::new(connection(&server.url, &access).unwrap())
+}
 
 /// Clients that submit at once, and workers that report at once.
 const N_CLIENTS: usize = 16;
@@ -92,7 +105,7 @@ async fn latency(server: &Server, n: usize) -> Vec<f64> {
     let mesh = upload(&mut client, small_torus()).await;
     let mut waits = Vec::with_capacity(n);
     for _ in 0..n {
-        let mut worker = server.worker_client();
+        let mut worker = worker_as(server, None);
         let mut claimant = JoinSet::new();
         claimant.spawn(async move {
             let assignment = worker.claim(claim("w")).await.unwrap().into_inner().assignment;
@@ -171,12 +184,12 @@ fn chunk(first: u64) -> Report {
 async fn batches(server: &Server, n_batches: u64, reports: &[Report]) -> f64 {
     let mut leases = Vec::new();
     for i in 0..N_WORKERS {
-        leases.push(lease(server.client(), server.worker_client(), i).await);
+        leases.push(lease(server.client(), worker_as(server, None), i).await);
     }
     let start = Instant::now();
     let mut workers = JoinSet::new();
     for lease in leases {
-        let mut worker = server.worker_client();
+        let mut worker = worker_as(server, None);
         let reports = reports.to_vec();
         workers.spawn(async move {
             for i in 0..n_batches {
@@ -190,11 +203,7 @@ async fn batches(server: &Server, n_batches: u64, reports: &[Report]) -> f64 {
     (N_WORKERS as u64 * n_batches) as f64 / start.elapsed().as_secs_f64()
 }
 
-async fn lease(
-    mut client: Client,
-    mut worker: wire::worker_service_client::WorkerServiceClient<tonic::transport::Channel>,
-    i: usize,
-) -> wire::Lease {
+async fn lease(mut client: Client, mut worker: Worker, i: usize) -> wire::Lease {
     let mesh = upload(&mut client, small_torus()).await;
     client.create_job(create_request(&mesh, "")).await.unwrap();
     let claimed = worker.claim(claim(&format!("w{i}"))).await.unwrap().into_inner();
@@ -202,7 +211,7 @@ async fn lease(
 }
 
 async fn append(
-    worker: &mut wire::worker_service_client::WorkerServiceClient<tonic::transport::Channel>,
+    worker: &mut Worker,
     lease: &wire::Lease,
     first_index: u64,
     reports: &[Report],
@@ -213,16 +222,23 @@ async fn append(
     worker.append_events(request).await.unwrap().into_inner().appended
 }
 
-/// Records and mebibytes a second that one client receives of a log that has ended.
-async fn replay(server: &Server, n_chunks: u64) -> (f64, f64) {
-    let mut worker = server.worker_client();
-    let lease = lease(server.client(), server.worker_client(), 0).await;
+/// Claims the job that waits, fills its log with chunks of records, and ends it; its name.
+pub(crate) async fn write_long_log(mut worker: Worker, n_chunks: u64) -> String {
+    let claimed = worker.claim(claim("w0")).await.unwrap().into_inner();
+    let lease = claimed.assignment.unwrap().lease.unwrap();
     for batch in 0..n_chunks / 50 {
         let chunks = (0..50).map(|i| chunk((batch * 50 + i) * u64::from(RECORDS)));
         append(&mut worker, &lease, batch * 50, &chunks.collect::<Vec<_>>()).await;
     }
     let name = lease.job.clone();
     worker.complete(failed(Some(lease))).await.unwrap();
+    name
+}
+
+/// Records and mebibytes a second that one client receives of a log that has ended.
+async fn replay(server: &Server, n_chunks: u64) -> (f64, f64) {
+    create(&mut server.client()).await;
+    let name = write_long_log(worker_as(server, None), n_chunks).await;
     let mut client = server.client();
     let start = Instant::now();
     let watch = v1::WatchJobRequest { name, after_seq: 0 };
@@ -242,8 +258,8 @@ async fn replay(server: &Server, n_chunks: u64) -> (f64, f64) {
 /// Streams that watch a job at which something happens once: how many, milliseconds until each has heard of it, and
 /// what one costs the server.
 async fn watch(server: &Server, n: usize) -> (f64, Vec<f64>, f64) {
-    let mut worker = server.worker_client();
-    let lease = lease(server.client(), server.worker_client(), 0).await;
+    let mut worker = worker_as(server, None);
+    let lease = lease(server.client(), worker_as(server, None), 0).await;
     let before = resident_kib(server);
     let mut streams = Vec::with_capacity(n);
     while streams.len() < n {

@@ -21,11 +21,13 @@ use lookalike::service::{
     client::Connection,
     proto::v1::{self, lookalike_service_client::LookalikeServiceClient},
 };
+use tempfile::TempDir;
 use tokio::{task::JoinSet, time::sleep};
-use tonic::Code;
+use tonic::{Code, Streaming};
 
 use crate::{
     Size,
+    figures::{worker_as, write_long_log},
     page::{Abused, Waits},
     raw,
     stores::Stores,
@@ -37,6 +39,8 @@ type Client = LookalikeServiceClient<Connection>;
 /// Connections of a flood, and of an upload.
 const N_FLOODS: usize = 8;
 const N_UPLOADS: usize = 4;
+/// A slow reader reads so often.
+const READ_PAUSE: Duration = Duration::from_secs(1);
 /// A good tenant submits so often.
 const PAUSE: Duration = Duration::from_millis(20);
 
@@ -53,17 +57,20 @@ struct Bad {
     /// A mesh of its own, and a job.
     mesh: String,
     job: String,
+    /// One that has ended and left a long log.
+    long_job: String,
     n_queued: usize,
 }
 
 /// Begins an abuse, which goes on until it is dropped.
 type Abuse = fn(Bad) -> BoxFuture<'static, JoinSet<()>>;
 
-const ABUSES: [(&str, Abuse); 6] = [
+const ABUSES: [(&str, Abuse); 7] = [
     ("submits without a pause, 64 at a time", |bad| Box::pin(submissions(bad))),
     ("has 10,000 jobs waiting", |bad| Box::pin(queue(bad))),
     ("uploads files of 1 GiB, four at a time", |bad| Box::pin(ready(uploads(&bad)))),
     ("holds 1,000 streams open and reads none", |bad| Box::pin(streams(bad))),
+    ("reads a long log slowly, 1,000 streams", |bad| Box::pin(slow_readers(bad))),
     ("sends malformed frames, eight connections", |bad| Box::pin(ready(malformed(&bad)))),
     ("floods with resets, eight connections", |bad| Box::pin(ready(resets(&bad)))),
 ];
@@ -71,16 +78,20 @@ const ABUSES: [(&str, Abuse); 6] = [
 /// How long the good tenant's submissions take under each abuse, and right before it.
 pub(crate) async fn take(stores: &mut Stores, size: Size) -> Vec<Abused> {
     let folder = tempfile::tempdir().unwrap();
-    let tokens = ["good", "bad"].map(|name| token(folder.path(), name));
+    let [good, bad, worker] = [("good", "user"), ("bad", "user"), ("worker", "worker")]
+        .map(|(n, r)| token(&folder, n, r));
     let file = format!("--tokens={}", folder.path().join("tokens.toml").display());
     // All other limits as they are.
     let server = stores.server(&[&file, "--max-mesh-mib=512"]);
-    let [good, mut bad] = tokens.clone().map(|token| with_token(&server, &token));
-    let mesh = upload_as(&mut bad, torus(50, 40)).await;
-    let created = bad.create_job(create_request(&mesh, "")).await.unwrap().into_inner();
+    let good = with_token(&server, &good);
+    let mut client = with_token(&server, &bad);
+    let mesh = upload_as(&mut client, torus(50, 40)).await;
+    client.create_job(create_request(&mesh, "")).await.unwrap();
+    let long_job = write_long_log(worker_as(&server, Some(&worker)), size.n_chunks).await;
+    let created = client.create_job(create_request(&mesh, "")).await.unwrap().into_inner();
     let job = created.job.unwrap().name;
-    let [_, token] = tokens;
-    let bad = Bad { url: server.url.clone(), token, mesh, job, n_queued: size.n_queued };
+    let url = server.url.clone();
+    let bad = Bad { url, token: bad, mesh, job, long_job, n_queued: size.n_queued };
     let mut rows = Vec::new();
     for (what, _) in ABUSES {
         let alone = Waits::of(submit(good.clone(), size.n_good).await);
@@ -137,10 +148,10 @@ fn check(server: &Server) {
     assert!(!server.logged().contains("panicked"));
 }
 
-fn token(folder: &Path, name: &str) -> String {
+fn token(folder: &TempDir, name: &str, role: &str) -> String {
     let mut command: Command = lookalike();
-    command.args(["token", name, "--owner", name, "--role", "user", "--tokens"]);
-    let output = command.arg(folder.join("tokens.toml")).output().unwrap();
+    command.args(["token", name, "--owner", name, "--role", role, "--tokens"]);
+    let output = command.arg(folder.path().join("tokens.toml")).output().unwrap();
     assert!(output.status.success(), "{output:?}");
     String::from_utf8(output.stdout).unwrap().trim().into()
 }
@@ -224,20 +235,34 @@ fn uploads(bad: &Bad) -> JoinSet<()> {
 }
 
 async fn streams(bad: Bad) -> JoinSet<()> {
-    let mut tasks = JoinSet::new();
-    for _ in 0..5 {
-        let (mut client, name) = (bad.client(), bad.job.clone());
-        let mut open = Vec::new();
-        for _ in 0..200 {
-            let watch = v1::WatchJobRequest { name: name.clone(), after_seq: 0 };
-            open.push(client.watch_job(watch).await.unwrap());
+    let open = watch(&bad, &bad.job).await;
+    JoinSet::from_iter([async move {
+        let _open = open;
+        std::future::pending::<()>().await;
+    }])
+}
+
+/// Each reads an entry now and then: what it has not read piles up somewhere.
+async fn slow_readers(bad: Bad) -> JoinSet<()> {
+    let read = async |mut entries: Streaming<v1::WatchJobResponse>| {
+        while entries.message().await.unwrap().is_some() {
+            sleep(READ_PAUSE).await;
         }
-        tasks.spawn(async move {
-            let _open = open;
-            std::future::pending::<()>().await;
-        });
+    };
+    watch(&bad, &bad.long_job).await.into_iter().map(read).collect()
+}
+
+/// A thousand streams of a job's log, on five connections.
+async fn watch(bad: &Bad, job: &str) -> Vec<Streaming<v1::WatchJobResponse>> {
+    let mut open = Vec::new();
+    for _ in 0..5 {
+        let mut client = bad.client();
+        for _ in 0..200 {
+            let watch = v1::WatchJobRequest { name: job.into(), after_seq: 0 };
+            open.push(client.watch_job(watch).await.unwrap().into_inner());
+        }
     }
-    tasks
+    open
 }
 
 fn malformed(bad: &Bad) -> JoinSet<()> {

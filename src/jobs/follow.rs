@@ -1,9 +1,10 @@
 //! Following a log: replay after a number, then wait for more, until the job has ended.
 //!
-//! A follower reads at its own pace from the database and holds one page and one segment; however
-//! slow it is, no worker waits for it.
+//! A follower reads at its own pace from the database and holds one page and one segment, which it shares with
+//! those at the same place of the same log; however slow it is, no worker waits for it. Of the followers of one reader
+//! some read at a time and the others wait for them, so that a thousand do not keep others from the database.
 
-use std::{collections::VecDeque, time::Duration};
+use std::{collections::VecDeque, sync::Arc, time::Duration};
 
 use futures::Stream;
 use tokio::{sync::watch, time::timeout};
@@ -23,12 +24,14 @@ const POLL: Duration = Duration::from_secs(2);
 
 struct Follower {
     jobs: Jobs,
+    /// Whose follower it is.
+    reader: String,
     id: String,
     last_seq: u64,
     page: VecDeque<StoredEvent>,
     grew: watch::Receiver<()>,
     /// The segment last unpacked: neighbours in the log share it.
-    segment: (String, Vec<u8>),
+    segment: (String, Arc<Vec<u8>>),
     ended: bool,
     /// The last entry that was handed out ended the job.
     saw_end: bool,
@@ -36,10 +39,16 @@ struct Follower {
 
 impl Jobs {
     /// The log of a job after `after_seq`, live; ends after the entry that ended the job for the last time. Fails when
-    /// there is no such job, also when it is deleted before its end was seen.
-    pub fn follow(&self, id: &str, after_seq: u64) -> impl Stream<Item = Result<Event>> + use<> {
+    /// there is no such job, also when it is deleted before its end was seen. `reader` is the owner that asks.
+    pub fn follow(
+        &self,
+        reader: &str,
+        id: &str,
+        after_seq: u64,
+    ) -> impl Stream<Item = Result<Event>> + use<> {
         let follower = Follower {
             jobs: self.clone(),
+            reader: reader.into(),
             id: id.into(),
             last_seq: after_seq,
             page: VecDeque::new(),
@@ -66,12 +75,14 @@ impl Follower {
     async fn next(&mut self) -> Result<Option<Event>> {
         while self.page.is_empty() && !self.ended {
             self.grew.mark_unchanged();
+            let turn = self.jobs.0.readers.of(&self.reader).await;
             // The job first: if it has ended, the page that follows holds the last entry.
             let job = match self.jobs.job(&self.id).await {
                 Err(Error::NotFound(_)) if self.saw_end => return Ok(None),
                 found => found?,
             };
             let page = self.jobs.0.store.events(&self.id, self.last_seq, PAGE).await?;
+            drop(turn);
             self.ended = page.is_empty() && job.state.is_final();
             if page.is_empty() && !self.ended {
                 // Time out or not: look again.
@@ -93,10 +104,8 @@ impl Follower {
 
     async fn read(&mut self, epoch: u64, range: SegmentRange) -> Result<Vec<u8>> {
         if self.segment.0 != range.segment {
-            let packed = self.jobs.0.blobs.segment(&self.id, epoch, &range.segment).await?;
-            let unpacked = tokio::task::spawn_blocking(move || segment::unpack(&packed)).await?;
-            let unpacked = unpacked.map_err(Error::io(&range.segment))?;
-            self.segment = (range.segment, unpacked);
+            let bytes = self.unpacked(epoch, &range.segment).await?;
+            self.segment = (range.segment, bytes);
         }
         let span = range.offset as usize..(range.offset + range.len) as usize;
         let fault = || Error::Corrupt {
@@ -104,5 +113,19 @@ impl Follower {
             fault: format!("it has no bytes {span:?}"),
         };
         Ok(self.segment.1.get(span.clone()).ok_or_else(fault)?.to_vec())
+    }
+    /// The bytes of a segment, read anew unless somebody has just done it.
+    async fn unpacked(&self, epoch: u64, name: &str) -> Result<Arc<Vec<u8>>> {
+        let inner = &self.jobs.0;
+        let _turn = inner.readers.of(&self.reader).await;
+        let key = format!("{}/{epoch}/{name}", self.id);
+        if let Some(bytes) = inner.unpacked.get(&key) {
+            return Ok(bytes);
+        }
+        let packed = inner.blobs.segment(&self.id, epoch, name).await?;
+        let bytes = tokio::task::spawn_blocking(move || segment::unpack(&packed)).await?;
+        let bytes = Arc::new(bytes.map_err(Error::io(name))?);
+        inner.unpacked.keep(key, Arc::clone(&bytes));
+        Ok(bytes)
     }
 }

@@ -39,6 +39,7 @@ mod attempts;
 mod expiry;
 mod points;
 mod turns;
+mod unpacked;
 
 pub use places::Places;
 
@@ -59,6 +60,7 @@ use self::{
     signals::Signals,
     store::{Job, Store},
     turns::Turns,
+    unpacked::Unpacked,
 };
 
 /// Caps on what clients may ask for.
@@ -103,6 +105,10 @@ impl Default for Limits {
     }
 }
 
+/// Of one owner's submissions: one is at work, and one is ready to follow. A single owner loses nothing.
+const CREATIONS_AT_ONCE: usize = 2;
+/// Of one reader's followers: fewer than there are connections for reading.
+const READS_AT_ONCE: usize = 3;
 /// A mesh without a row is an orphan when it was written so long ago.
 const ORPHANS_STAY: Duration = Duration::from_hours(1);
 
@@ -118,7 +124,10 @@ struct Inner {
     ledger: audit::Ledger,
     /// Pass signals on between servers, and entries of the audit table to it.
     _couriers: JoinSet<()>,
+    /// Of those who create jobs, and of those who follow logs.
     turns: Turns,
+    readers: Turns,
+    unpacked: Unpacked,
     /// Jobs whose attempts were lost while nobody asked for them.
     lost: Mutex<Vec<Job>>,
     terms: Terms,
@@ -149,7 +158,9 @@ impl Jobs {
             signals,
             ledger,
             _couriers: couriers,
-            turns: Turns::default(),
+            turns: Turns::new(CREATIONS_AT_ONCE),
+            readers: Turns::new(READS_AT_ONCE),
+            unpacked: Unpacked::default(),
             lost: Mutex::default(),
             terms,
             limits,

@@ -1,7 +1,7 @@
 //! Turns of owners: an owner that asks for much at once waits for itself, not everybody for it.
 //!
-//! The database does one thing after another where it must (jobs are created one at a time). Of each owner only
-//! [`AT_ONCE`] calls stand in that line; its others wait here, in the order in which they came.
+//! The database does one thing after another where it must (jobs are created one at a time), and few things at once
+//! elsewhere. Of each owner only some calls stand in that line; its others wait here, in the order in which they came.
 
 use std::{
     collections::HashMap,
@@ -10,12 +10,12 @@ use std::{
 
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
-/// One is at work, and one is ready to follow: a single owner loses nothing.
-const AT_ONCE: usize = 2;
-
 /// Who waits, by owner.
-#[derive(Debug, Default)]
-pub(super) struct Turns(Arc<Mutex<HashMap<String, Arc<Semaphore>>>>);
+#[derive(Clone, Debug)]
+pub(super) struct Turns {
+    lines: Arc<Mutex<HashMap<String, Arc<Semaphore>>>>,
+    at_once: usize,
+}
 
 /// An owner's turn, until it is dropped.
 #[derive(Debug)]
@@ -26,19 +26,23 @@ pub(super) struct Turn {
 }
 
 impl Turns {
+    /// So many of one owner at once.
+    pub(super) fn new(at_once: usize) -> Self {
+        Self { lines: Arc::default(), at_once }
+    }
+
     /// Waits for a turn of this owner.
     pub(super) async fn of(&self, owner: &str) -> Turn {
-        let line = Arc::clone(
-            self.lines().entry(owner.into()).or_insert_with(|| Arc::new(Semaphore::new(AT_ONCE))),
-        );
+        let line = || Arc::new(Semaphore::new(self.at_once));
+        let line = Arc::clone(self.lines().entry(owner.into()).or_insert_with(line));
         // Made before the wait: whoever gives up leaves nothing behind. No line is ever closed.
-        let mut turn = Turn { turns: Self(Arc::clone(&self.0)), owner: owner.into(), permit: None };
+        let mut turn = Turn { turns: self.clone(), owner: owner.into(), permit: None };
         turn.permit = line.acquire_owned().await.ok();
         turn
     }
 
     fn lines(&self) -> std::sync::MutexGuard<'_, HashMap<String, Arc<Semaphore>>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.lines.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -61,7 +65,7 @@ mod tests {
 
     #[tokio::test]
     async fn owners_wait_for_themselves() {
-        let turns = Turns::default();
+        let turns = Turns::new(2);
         let (first, second) = (turns.of("ann").await, turns.of("ann").await);
         assert!(turns.of("ann").now_or_never().is_none());
         let bob = turns.of("bob").now_or_never().unwrap();

@@ -178,7 +178,8 @@ impl v1::lookalike_service_server::LookalikeService for Api {
         let id = convert::job_id("name", &request.name)?;
         // A missing job is the answer to the call, not the first item of the stream.
         self.jobs.desk(&call.who).job(&id).await.map_err(|e| status_of(&e))?;
-        let log = self.jobs.follow(&id, request.after_seq).map_err(|e| status_of(&e));
+        let log =
+            self.jobs.follow(&call.who.owner, &id, request.after_seq).map_err(|e| status_of(&e));
         let answers =
             log.map_ok(|event| v1::WatchJobResponse { event: Some(convert::event_to_wire(event)) });
         Ok(Response::new(until(answers, self.shutdown.clone())))

@@ -141,7 +141,7 @@ async fn claim(jobs: &Jobs, worker: &str) -> Option<(Job, Lease)> {
 }
 
 async fn log_of(jobs: &Jobs, id: &str) -> Vec<Event> {
-    jobs.follow(id, 0).try_collect().await.unwrap()
+    jobs.follow("reader", id, 0).try_collect().await.unwrap()
 }
 
 fn note(text: &str) -> Report {
@@ -356,7 +356,7 @@ async fn damaged_transfers_leave_nothing(home: Home) {
 async fn followers_see_everything_live_wherever_they_begin(home: Home) {
     let jobs = home.open().await;
     let id = create(&jobs).await.id;
-    let live = jobs.follow(&id, 0).try_collect::<Vec<_>>();
+    let live = jobs.follow("reader", &id, 0).try_collect::<Vec<_>>();
     let work = async {
         let (_, lease) = claim(&jobs, "w").await.unwrap();
         for first in 0..20 {
@@ -370,12 +370,12 @@ async fn followers_see_everything_live_wherever_they_begin(home: Home) {
     let live = live.unwrap();
     assert_eq!(live.last().unwrap().body.state(), Some(State::Failed));
     for after in 0..live.len() {
-        let rest: Vec<_> = jobs.follow(&id, after as u64).try_collect().await.unwrap();
+        let rest: Vec<_> = jobs.follow("reader", &id, after as u64).try_collect().await.unwrap();
         assert_eq!(rest, live[after..]);
     }
-    let past: Vec<_> = jobs.follow(&id, u64::MAX).try_collect().await.unwrap();
+    let past: Vec<_> = jobs.follow("reader", &id, u64::MAX).try_collect().await.unwrap();
     assert_eq!(past, []);
-    let missing = jobs.follow("none", 0).try_collect::<Vec<_>>().await;
+    let missing = jobs.follow("reader", "none", 0).try_collect::<Vec<_>>().await;
     assert!(matches!(missing, Err(Error::NotFound(_))));
 }
 
@@ -396,7 +396,7 @@ async fn servers_share_a_database_but_not_their_directories(home: Home) {
     let (_, lease) = claim(&there, "w").await.unwrap();
     timeout(minute, heard(&mut grew, || there.0.signals.log_grew(&id))).await.unwrap();
     timeout(minute, heard(&mut queue, || here.0.signals.queue_grew())).await.unwrap();
-    let watching = here.follow(&id, 0).try_collect::<Vec<_>>();
+    let watching = here.follow("reader", &id, 0).try_collect::<Vec<_>>();
     let work = async {
         for first in 0..10 {
             there.append(&lease, first, vec![note("x")]).await.unwrap();
