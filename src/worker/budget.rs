@@ -5,6 +5,8 @@
 
 use crate::jobs::spec::{Effort, Method, Spec};
 
+use super::automatic::most_shown;
+
 /// Evaluations for each triangle of a level, where the user set no limit.
 ///
 /// Measured with `benches/optimizer.rs`; `docs/results.md` has the curves.
@@ -31,8 +33,8 @@ impl Budget {
 
 /// The budgets of levels with so many triangles. `n_spent` evaluations of the job are spent already.
 pub(super) fn budgets(spec: &Spec, triangles: &[usize], n_spent: u64) -> Vec<Budget> {
-    let total: usize = triangles.iter().sum();
-    let share = |n: usize| n as f64 / total.max(1) as f64;
+    let total = n_optimized(spec, triangles);
+    let share = |n: usize| n_optimized(spec, &[n]) as f64 / total.max(1) as f64;
     let left = (spec.max_evaluations > 0).then(|| spec.max_evaluations.saturating_sub(n_spent));
     let wanted = evaluations(spec, total);
     let all = match (wanted, left) {
@@ -45,6 +47,13 @@ pub(super) fn budgets(spec: &Spec, triangles: &[usize], n_spent: u64) -> Vec<Bud
         until: spec.optimize.until,
     };
     triangles.iter().map(of).collect()
+}
+
+/// Triangles of those levels that are optimized. Where nobody asked for it, finer ones than pictures show are not: a few
+/// pictures would be fitted instead of the model.
+pub(super) fn n_optimized(spec: &Spec, triangles: &[usize]) -> usize {
+    let is_asked = !spec.optimize.is_automatic() || spec.simplified.is_some();
+    triangles.iter().filter(|n| is_asked || **n as u64 <= most_shown(spec)).sum()
 }
 
 /// Evaluations for so many triangles; `None` means no limit.
@@ -74,7 +83,9 @@ mod tests {
     use crate::jobs::spec::Optimize;
 
     fn spec(optimize: Optimize) -> Spec {
-        Spec { optimize, ..Spec::new(vec![1000, 100]) }
+        let mut spec = Spec { optimize, ..Spec::new(vec![1000, 100]) };
+        spec.render.image_size = 256;
+        spec
     }
 
     fn evaluations_of(spec: &Spec, n_spent: u64) -> Vec<Option<u64>> {
@@ -104,6 +115,9 @@ mod tests {
         let automatic = spec(Optimize::default());
         let found = evaluations_of(&automatic, 0);
         assert!(found[0] > Some(100 * 900) && found[1] == found[0].map(|n| n / 9));
+        // Twelve pixels a triangle tell nothing; the other level gets no more for it.
+        let of_many = budgets(&automatic, &[100_000, 100], 0);
+        assert_eq!((of_many[0].evaluations, of_many[1].evaluations), (Some(0), found[1]));
         let memoryless = Spec { method: Method::Memoryless, ..automatic };
         assert_eq!(evaluations_of(&memoryless, 0), [Some(0), Some(0)]);
     }

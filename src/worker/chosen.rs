@@ -73,7 +73,7 @@ fn image_size(spec: &Spec, facts: &Facts<'_>) -> Choice<u32> {
 
 fn start_factor(spec: &Spec, facts: &Facts<'_>) -> Choice<f64> {
     let is_asked = facts.asked.start_factor > 0.0;
-    let why = if is_asked { "asked".into() } else { facts.model.why_start_factor() };
+    let why = if is_asked { "asked".into() } else { facts.model.why_start_factor(spec) };
     Choice { value: spec.start_factor, why }
 }
 

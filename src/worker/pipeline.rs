@@ -29,6 +29,7 @@ use crate::{
 
 use super::{
     automatic::Model,
+    budget::n_optimized,
     chosen::Facts,
     critic::Critic,
     evaluating,
@@ -213,7 +214,8 @@ fn make_levels(
         let studio = Studio::new(&original, (pictures, palette), drawn, (device, tape));
         let mut job = Job { spec, original: &original, studio, gauge: &gauge, critic: &critic };
         let mut levels = simplifying::run(&mut job, (base, marks), &mut recorder, &mut figures)?;
-        facts.n_optimized = levels.simplified().map(|level| level.mesh.faces.len()).sum();
+        let triangles: Vec<usize> = levels.simplified().map(|l| l.mesh.faces.len()).collect();
+        facts.n_optimized = n_optimized(spec, &triangles);
         if spec.optimizes() {
             figures.extend(optimizing::run(&mut job, &mut levels, &mut recorder, &figures)?);
         }

@@ -86,7 +86,20 @@ pub(super) fn run(
         figures.push(image_stage(job, &mut mesh, &mut course, finest)?);
     }
     levels.explain(spec, recorder)?;
+    if spec.method == Method::Image {
+        measure(job, &mut levels)?;
+    }
     Ok(levels)
+}
+
+/// What levels look like that geometry alone has made, because they are finer than pictures show.
+fn measure(job: &mut Job<'_>, levels: &mut Levels) -> Result<(), PipelineError> {
+    for level in levels.simplified().filter(|level| level.energy.is_none()) {
+        let energy = job.studio.energy(&editable(&level.mesh, &Marks::default())?);
+        level.energy = Some(energy);
+        level.d2 = Some(d2_percent(energy, params::n_counted_pixels(job.spec)));
+    }
+    Ok(())
 }
 
 /// Triangles of the coarsest and the finest level, about, and those at which the image-driven stage takes
