@@ -93,7 +93,13 @@ def measure(binary: Path, model: Path, folder: Path, device: str) -> Model:
     )
     levels = []
     for i, (share, level) in enumerate(zip(SHARES, report["levels"])):
-        unseen = level["optimization"]["d2_unseen_percent"][1]
+        # Levels finer than pictures show are not optimized, and nobody has looked at them yet.
+        optimized = level.get("optimization")
+        unseen = (
+            optimized["d2_unseen_percent"][1]
+            if optimized
+            else unseen_d2(binary, model, ours / f"lod-{i}.glb", report)
+        )
         levels.append(
             Level(
                 asked=round(share * report["input"]["triangles"]),
