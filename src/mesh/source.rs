@@ -76,11 +76,11 @@ impl Material {
 
 impl Mesh {
     /// How a material glows in pictures. A texture that lies elsewhere than the base texture, or whose coordinates
-    /// are not there, counts with its mean; where it was not read, nothing glows.
+    /// are not there, counts with its mean; where its image was not read, nothing glows.
     pub fn glow_of(&self, material: &Material) -> Option<Glow<'_>> {
         let Emission { factor, texture } = material.emission()?;
-        let Some(at) = texture else { return Some(Glow { factor, texture: None }) };
-        let found = self.textures.get(at.texture as usize)?;
+        let found = texture.and_then(|at| Some((at, self.textures.get(at.texture as usize)?)));
+        let Some((at, found)) = found else { return Some(Glow { factor, texture: None }) };
         let image = self.images.get(found.image? as usize)?;
         let pixels = image.pixels.as_ref()?;
         let has_place = self.layer(Semantic::TexCoord(at.tex_coord)).is_some();
