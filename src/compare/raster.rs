@@ -20,11 +20,11 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     scan::{Band, Paint, Spot, doubled_area, rows_spanned},
-    skin::{Skin, pixels, skin},
+    skin::{Skin, skin},
     texture::Brush,
 };
 use crate::{
-    mesh::{Coverage, Material, Mesh, Semantic, TextureUse, WedgeId},
+    mesh::{Material, Mesh, Semantic, TextureUse, WedgeId},
     metric::image::{luminance, srgb_from_linear},
     render::view::{Projection, View},
 };
@@ -48,7 +48,7 @@ pub enum Appearance {
     /// White all over, as in the papers.
     #[default]
     White,
-    /// Material base colour × base colour texture × vertex colour.
+    /// Material base colour × base colour texture × vertex colour, and emissive colours.
     Coloured,
 }
 
@@ -130,17 +130,13 @@ impl<'m, const N: usize> Drawable<'m, N> {
                 mesh.faces.iter().map(|f| f.map(|v| normals[v as usize])).collect()
             }
         };
-        let corner_colours = match look.appearance {
-            Appearance::White => Vec::new(),
-            Appearance::Coloured => {
-                linear_colours(mesh).map(|corners| corners.map(&encode)).collect()
-            }
-        };
-        let textures = match look.appearance {
-            Appearance::White => Vec::new(),
+        let (corner_colours, textures) = match look.appearance {
+            Appearance::White => (Vec::new(), Vec::new()),
             Appearance::Coloured => {
                 let skin = |m: &Material| skin(mesh, m, &encode_texel);
-                mesh.materials.par_iter().map(skin).collect()
+                let textures: Vec<_> = mesh.materials.par_iter().map(skin).collect();
+                let colours = linear_colours(mesh, &textures);
+                (colours.map(|corners| corners.map(&encode)).collect(), textures)
             }
         };
         let face_normals = area_normals.into_iter().map(DVec3::normalize_or_zero).collect();
@@ -164,9 +160,10 @@ impl<'m, const N: usize> Drawable<'m, N> {
     /// The texture of a triangle that is drawn there.
     fn brush(&self, face: usize, spots: &[Spot; 3]) -> Option<Brush<'_, N>> {
         let material = self.mesh.face_materials.get(face).copied().unwrap_or(0);
-        let Skin { at, texture, sieve } = self.textures.get(material as usize)?.as_ref()?;
-        let uv = self.coordinates(face, at).or(texture.is_plain().then_some([[0.0; 2]; 3]))?;
-        Some(texture.on(uv, spots, sieve.as_ref()))
+        let skin = self.textures.get(material as usize)?.as_ref()?;
+        let uv = self.coordinates(face, &skin.at).or(skin.is_plain().then_some([[0.0; 2]; 3]))?;
+        let Skin { texture, sieve, glow, .. } = skin;
+        Some(Brush::new(texture, sieve.as_ref(), glow.as_ref(), (uv, spots)))
     }
 
     fn coordinates(&self, face: usize, at: &TextureUse) -> Option<[[f32; 2]; 3]> {
@@ -341,17 +338,16 @@ fn smooth_normals(mesh: &Mesh, area_normals: &[DVec3]) -> Vec<DVec3> {
     shared.into_iter().map(|v| sums[v].normalize_or_zero()).collect()
 }
 
-/// Linear RGB of every corner: base colour of the material × the first colour set.
-fn linear_colours(mesh: &Mesh) -> impl Iterator<Item = [[f32; 3]; 3]> {
+/// Linear RGB of every corner: base colour of the material × the first colour set. A texture has the factor in it.
+fn linear_colours<const N: usize>(
+    mesh: &Mesh,
+    textures: &[Option<Skin<N>>],
+) -> impl Iterator<Item = [[f32; 3]; 3]> {
     let layer = mesh.layer(Semantic::Color(0)).filter(|layer| layer.width >= 3);
     (0..mesh.faces.len()).map(move |face| {
         let material = mesh.face_materials.get(face).copied().unwrap_or(0) as usize;
-        // A texture has the factor in it.
-        let is_textured = |m: &&Material| {
-            m.base_texture.is_some_and(|at| pixels(mesh, &at).is_some())
-                || m.coverage() != Coverage::Opaque
-        };
-        let material = mesh.materials.get(material).filter(|m| !is_textured(m));
+        let is_textured = textures.get(material).is_some_and(Option::is_some);
+        let material = mesh.materials.get(material).filter(|_| !is_textured);
         let base = material.map_or([1.0; 4], |m| m.base_color);
         [0, 1, 2].map(|k| {
             let vertex = layer.map_or([1.0; 3], |layer| {

@@ -1,10 +1,10 @@
 //! Tests of the off-line rasteriser.
 
-use std::convert::Infallible;
+use std::{convert::Infallible, sync::Arc};
 
 use super::*;
 use crate::{
-    mesh::{AttributeLayer, Material},
+    mesh::{AttributeLayer, Image, Material, Pixels, Texture},
     render::view::{BoundingSphere, ViewParams, camera},
 };
 
@@ -112,6 +112,32 @@ fn what_is_transparent_shows_what_lies_behind() {
         let look = Look { appearance: Appearance::Coloured, ..small() };
         let drawn = draw(&mesh, &look);
         assert!(drawn.iter().all(|p| (p[0] - expected).abs() < 1e-3), "{expected}: {:?}", drawn[0]);
+    }
+}
+
+/// The same wall as `metric::palette`'s: what evaluators see, these pictures show.
+#[test]
+fn what_is_given_off_is_added_to_what_is_lit() {
+    for (base, source, expected) in [
+        (0.0, r#"{"emissiveFactor": [0.2, 0.2, 0.2]}"#, 0.2),
+        (0.5, r#"{"emissiveFactor": [0.2, 0.2, 0.2]}"#, 0.7),
+        (0.5, r#"{"emissiveFactor": [9, 9, 9]}"#, 1.0),
+        (0.0, r#"{"emissiveFactor": [0, 0, 9]}"#, 0.0722),
+        (0.5, r#"{"emissiveFactor": [0.2, 0.2, 0.2], "emissiveTexture": {"index": 0}}"#, 0.6),
+        (0.5, r#"{"emissiveFactor": [0.2, 0.2, 0.2], "emissiveTexture": {"index": 1}}"#, 0.7),
+        (0.5, r#"{"emissiveFactor": [0, 0, 0], "emissiveTexture": {"index": 0}}"#, 0.5),
+    ] {
+        let mut mesh = wall();
+        let base_color = [base, base, base, 1.0];
+        let source = serde_json::from_str(source).unwrap();
+        mesh.materials = vec![Material { base_color, source, ..Material::default() }];
+        let pixels = Pixels { width: 1, height: 1, rgba: vec![128, 128, 128, 255] };
+        mesh.images = vec![Image { pixels: Some(Arc::new(pixels)), ..Image::default() }];
+        mesh.textures = vec![Texture { image: Some(0), ..Texture::default() }];
+        let look = Look { appearance: Appearance::Coloured, ..small() };
+        let drawn = draw(&mesh, &look);
+        let is_so = |p: &[f32; 1]| (p[0] - expected).abs() < 5e-3;
+        assert!(drawn.iter().all(is_so), "{expected}: {:?}", drawn[0]);
     }
 }
 

@@ -115,7 +115,7 @@ impl<const N: usize> Band<N> {
                 let z = z.at(i);
                 if z < *nearest {
                     let w = 1.0 / weight.at(i);
-                    let mut colour = colour.map(|c| c.at(i) * w);
+                    let (mut colour, mut glow) = (colour.map(|c| c.at(i) * w), None);
                     if let (Some(brush), Some(uv)) = (brush, uv) {
                         let uv = uv.map(|c| c.at(i) * w);
                         let sample = (columns.start + i as usize, row);
@@ -124,9 +124,13 @@ impl<const N: usize> Band<N> {
                         }
                         let texel = brush.at(uv);
                         colour = std::array::from_fn(|c| colour[c] * texel[c]);
+                        glow = brush.glow(uv);
                     }
                     *nearest = z;
                     *sample = Paint { shade: shade.at(i) * w, colour }.lit();
+                    if let Some(glow) = glow {
+                        *sample = std::array::from_fn(|c| (sample[c] + glow[c]).min(1.0));
+                    }
                 }
             }
         });

@@ -69,6 +69,7 @@ pub(super) struct Brush<'t, const N: usize> {
     /// Where it has some.
     pub(super) holes: Option<Holes<'t>>,
     colour: Filtered<'t, N>,
+    glow: Option<Filtered<'t, N>>,
 }
 
 /// A texture as coarse as a triangle shows it.
@@ -109,16 +110,6 @@ impl<const N: usize> Texture<N> {
     }
 
     /// On a triangle with these coordinates at its corners.
-    pub(super) fn on<'t>(
-        &'t self,
-        uv: [[f32; 2]; 3],
-        spots: &[Spot; 3],
-        sieve: Option<&'t Sieve>,
-    ) -> Brush<'t, N> {
-        let holes = sieve.map(|sieve| sieve.on(uv, spots));
-        Brush { uv, holes, colour: self.filtered(uv, spots) }
-    }
-
     fn filtered(&self, uv: [[f32; 2]; 3], spots: &[Spot; 3]) -> Filtered<'_, N> {
         let rate = self.texels_per_sample(uv, spots);
         let depth = if rate > 1.0 { libm::log2(rate) } else { 0.0 };
@@ -206,10 +197,27 @@ impl<const N: usize> Level<N> {
     }
 }
 
-impl<const N: usize> Brush<'_, N> {
+impl<'t, const N: usize> Brush<'t, N> {
+    /// A texture, where it has holes, and what it gives off, on a triangle with these coordinates at its corners.
+    pub(super) fn new(
+        colour: &'t Texture<N>,
+        sieve: Option<&'t Sieve>,
+        glow: Option<&'t Texture<N>>,
+        (uv, spots): ([[f32; 2]; 3], &[Spot; 3]),
+    ) -> Self {
+        let holes = sieve.map(|sieve| sieve.on(uv, spots));
+        let glow = glow.map(|glow| glow.filtered(uv, spots));
+        Brush { uv, holes, colour: colour.filtered(uv, spots), glow }
+    }
+
     /// The colour at some coordinates.
     pub(super) fn at(&self, uv: [f32; 2]) -> [f32; N] {
         self.colour.at(uv)
+    }
+
+    /// What is given off there, if something is.
+    pub(super) fn glow(&self, uv: [f32; 2]) -> Option<[f32; N]> {
+        self.glow.as_ref().map(|glow| glow.at(uv))
     }
 }
 

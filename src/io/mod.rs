@@ -85,7 +85,7 @@ pub fn read(name: &str, bytes: &[u8], limits: &Limits) -> Result<Ingest, IoError
         );
     }
     let mut welded = weld::weld(&source, soup)?;
-    picture::decode_base_textures(&mut welded.mesh, limits, &mut welded.notes);
+    picture::decode_shown_textures(&mut welded.mesh, limits, &mut welded.notes);
     let report = report::survey(format.name, &mut welded);
     Ok(Ingest { mesh: welded.mesh, marks: welded.marks, report })
 }

@@ -1,4 +1,5 @@
-//! Decoding of the images that pictures show: those of base textures. PNG, JPEG and WebP here, KTX2 in `ktx2.rs`.
+//! Decoding of the images that pictures show: those of base and emissive textures. PNG, JPEG and WebP
+//! here, KTX2 in `ktx2.rs`.
 //!
 //! The content says what an image is, not its media type. Dimensions are held against the limits
 //! before anything is decoded. An image that cannot be decoded is noted; its bytes stay.
@@ -9,7 +10,7 @@ use image::{ImageFormat, ImageReader};
 use rayon::prelude::*;
 
 use super::{Limits, ktx2, soup::Notes};
-use crate::mesh::{Image, Mesh, Pixels};
+use crate::mesh::{Image, Material, Mesh, Pixels};
 
 /// What is decoded.
 const FORMATS: [ImageFormat; 3] = [ImageFormat::Png, ImageFormat::Jpeg, ImageFormat::WebP];
@@ -26,9 +27,10 @@ pub(super) fn mime_of(bytes: &[u8]) -> Option<&'static str> {
     image::guess_format(bytes).ok().map(|format| format.to_mime_type())
 }
 
-/// Decodes the images of the materials' base textures.
-pub(super) fn decode_base_textures(mesh: &mut Mesh, limits: &Limits, notes: &mut Notes) {
-    let uses = mesh.materials.iter().filter_map(|m| m.base_texture);
+/// Decodes the images of the materials' base and emissive textures.
+pub(super) fn decode_shown_textures(mesh: &mut Mesh, limits: &Limits, notes: &mut Notes) {
+    let glow = |m: &Material| m.emission().and_then(|light| light.texture);
+    let uses = mesh.materials.iter().flat_map(|m| m.base_texture.into_iter().chain(glow(m)));
     let textures = uses.filter_map(|u| mesh.textures.get(u.texture as usize));
     let is_there = |i: &usize| mesh.images.get(*i).is_some_and(|image| !image.bytes.is_empty());
     let used: BTreeSet<usize> =
@@ -55,7 +57,8 @@ fn note_unreadable(index: usize, image: &Image, reason: &str, limits: &Limits, n
     let reason: String = reason.chars().take(160).collect();
     let text = format!(
         "image {index} '{name}' cannot be decoded ({reason}): materials that use it are drawn in \
-         their factors alone; save it as PNG, JPEG, WebP or KTX2 (Basis Universal) of at most {} pixels a side",
+         the factors of their base colours alone; save it as PNG, JPEG, WebP or KTX2 \
+         (Basis Universal) of at most {} pixels a side",
         limits.max_image_side
     );
     notes.add("image_unreadable", text);

@@ -16,6 +16,7 @@ mod refine;
 mod revise;
 pub mod shapes;
 mod snapshot;
+mod source;
 mod step;
 #[cfg(test)]
 mod tests;
@@ -36,4 +37,5 @@ pub use model::{
 };
 pub use parts::{Node, Part, Tree};
 pub use snapshot::Snapshot;
+pub use source::{Emission, Glow, Glowing};
 pub use step::{MoveCount, Sample, Stage, Step};

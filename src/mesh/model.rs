@@ -217,21 +217,6 @@ pub struct Material {
     pub source: Option<serde_json::Value>,
 }
 
-impl Material {
-    /// What glTF's `alphaMode` and `alphaCutoff` say.
-    pub fn coverage(&self) -> Coverage {
-        let property = |name: &str| self.source.as_ref()?.get(name);
-        match property("alphaMode").and_then(serde_json::Value::as_str) {
-            Some("MASK") => {
-                let cutoff = property("alphaCutoff").and_then(serde_json::Value::as_f64);
-                Coverage::Mask(cutoff.unwrap_or(0.5) as f32)
-            }
-            Some("BLEND") => Coverage::Blend,
-            _ => Coverage::Opaque,
-        }
-    }
-}
-
 impl Default for Material {
     fn default() -> Self {
         Self {

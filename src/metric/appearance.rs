@@ -1,5 +1,5 @@
 //! What a triangle's light falls on: material colour times vertex colour as the albedo of its corners, in 8 bits
-//! of luminance, and the texture.
+//! of luminance, and the texture, which has in it what the material gives off.
 //!
 //! A model of one single colour is drawn white, as the papers do: then only its shape counts, and
 //! it stands out against the grey background whatever its paint. Luminance of a vertex colour times that of a
@@ -134,7 +134,7 @@ impl Appearance {
 }
 
 /// Whether a mesh is drawn white: it has one colour, no vertex colours and no texture, lets nothing
-/// through, and is lit.
+/// through, is lit, and gives nothing off.
 pub fn is_white(mesh: &Mesh) -> bool {
     let first = mesh.materials.first().map(|m| m.base_color);
     let is_plain = |m: &Material| {
@@ -142,6 +142,7 @@ pub fn is_white(mesh: &Mesh) -> bool {
             && m.base_texture.is_none()
             && m.coverage() == Coverage::Opaque
             && !m.unlit
+            && m.emission().is_none()
     };
     mesh.materials.iter().all(is_plain) && mesh.layer(Semantic::Color(0)).is_none()
 }

@@ -3,7 +3,8 @@
 //!
 //! Invariants:
 //! 1. what is seen where is what the evaluators see: the same lattice, the same ties;
-//! 2. luminances are not rounded, so that they have derivatives.
+//! 2. luminances are not rounded, so that they have derivatives; where light and what is given off are more than
+//!    white, nothing changes.
 
 use glam::{DVec2, DVec3};
 
@@ -12,7 +13,13 @@ use crate::render::{
     view::{Projection, View},
 };
 
-use super::slopes::{Drag, Slopes};
+use super::{
+    shade::Shade,
+    slopes::{Drag, Slopes},
+};
+
+/// The most that a picture shows.
+const WHITE: f64 = 255.0;
 
 /// See the module.
 pub struct Drawn<'s> {
@@ -31,19 +38,8 @@ pub struct Drawn<'s> {
     paints: Vec<Option<Painted>>,
     /// By pixel: what the texture seen there lets through; empty where there are no textures.
     texels: Vec<f32>,
-}
-
-/// How a triangle is lit.
-#[derive(Clone, Copy, Default)]
-struct Shade {
-    /// Luminances of the corners.
-    corners: [f64; 3],
-    /// Flat: how the luminance changes with each corner's place. Smooth: how each corner's luminance
-    /// changes with its normal.
-    by: [DVec3; 3],
-    /// Shares of the corners at pixel (0, 0), and their changes to the right and down (only where corners
-    /// differ, or a texture travels with them).
-    shares: [[f64; 3]; 3],
+    /// By pixel: what the texture seen there gives off, 0 to 255; empty where none gives off anything.
+    glows: Vec<f32>,
 }
 
 /// What a triangle's pixels add up to.
@@ -87,6 +83,7 @@ impl<'s> Drawn<'s> {
             sides: vec![<[Side; 3]>::default(); scene.faces.len()],
             paints: vec![None; if scene.texels.is_empty() { 0 } else { scene.faces.len() }],
             texels: Vec::new(),
+            glows: Vec::new(),
         };
         for (id, face) in scene.faces.iter().enumerate() {
             let Some(face) = face.as_ref().filter(|_| is_seen[id]) else { continue };
@@ -100,6 +97,11 @@ impl<'s> Drawn<'s> {
             let seen =
                 |p| this.paint(this.ids[p]).map_or(1.0, |paint| this.look_up(paint, p) as f32);
             this.texels = (0..size * size).map(seen).collect();
+        }
+        if scene.texels.has_glow() {
+            let seen =
+                |p| this.paint(this.ids[p]).map_or(0.0, |paint| this.glow_of(paint, p) as f32);
+            this.glows = (0..size * size).map(seen).collect();
         }
         this
     }
@@ -153,8 +155,12 @@ impl<'s> Drawn<'s> {
         let mut energy = 0.0;
         for (pixel, r) in (at..).zip(reference) {
             let (bare, texel) = (self.bare_luminance(id, pixel), self.texel(id, pixel));
-            let off = bare * texel - f64::from(*r);
+            let (lum, is_full) = with_glow(bare * texel, self.glow(id, pixel));
+            let off = lum - f64::from(*r);
             energy += off * off;
+            if is_full {
+                continue;
+            }
             let of_mean = if is_flat && !is_even { texel * bare / mean } else { texel };
             seen.n += of_mean * of_mean;
             seen.off += off * of_mean;
@@ -162,7 +168,7 @@ impl<'s> Drawn<'s> {
                 seen.off_by_share[k] += off * texel * share;
                 seen.squares[k] += (texel * share).powi(2);
                 if paint.is_some() {
-                    seen.drags[k].add(off, share * bare * self.slope(id, pixel));
+                    seen.drags[k].add(off, self.slope(id, pixel, (share, bare)));
                 }
             }
         }
@@ -249,7 +255,7 @@ impl<'s> Drawn<'s> {
 
     /// The luminance of a triangle in a pixel, in which another may be seen.
     fn luminance(&self, id: u32, pixel: usize) -> f64 {
-        self.bare_luminance(id, pixel) * self.texel(id, pixel)
+        with_glow(self.bare_luminance(id, pixel) * self.texel(id, pixel), self.glow(id, pixel)).0
     }
 
     fn paint(&self, id: u32) -> Option<&Painted> {
@@ -269,14 +275,37 @@ impl<'s> Drawn<'s> {
         f64::from(paint.at(self.scene.texels.words(), i, j)) / 255.0
     }
 
-    /// How that changes from pixel to pixel, rightwards and downwards, as far as the same triangle is seen beside
-    /// the pixel.
-    fn slope(&self, id: u32, pixel: usize) -> DVec2 {
-        let here = f64::from(self.texels[pixel]);
+    /// What the texture gives off, 0 to 255.
+    fn glow(&self, id: u32, pixel: usize) -> f64 {
+        match self.glows.get(pixel) {
+            None => 0.0,
+            Some(glow) if self.ids[pixel] == id => f64::from(*glow),
+            Some(_) => self.paint(id).map_or(0.0, |paint| self.glow_of(paint, pixel)),
+        }
+    }
+
+    fn glow_of(&self, paint: &Painted, pixel: usize) -> f64 {
+        let (i, j) = ((pixel % self.size) as i32, (pixel / self.size) as i32);
+        f64::from(paint.glow(self.scene.texels.words(), i, j))
+    }
+
+    /// How a share of the luminance changes with the texture from pixel to pixel, rightwards and downwards; `bare` is
+    /// the luminance without it.
+    fn slope(&self, id: u32, pixel: usize, (share, bare): (f64, f64)) -> DVec2 {
+        let through = share * bare * self.change(&self.texels, id, pixel);
+        if self.glows.is_empty() {
+            return through;
+        }
+        through + share * self.change(&self.glows, id, pixel)
+    }
+
+    /// How values by pixel change, as far as the same triangle is seen beside the pixel.
+    fn change(&self, values: &[f32], id: u32, pixel: usize) -> DVec2 {
+        let here = f64::from(values[pixel]);
         let along = |step: usize, is_inside: [bool; 2]| {
             let beside = [pixel.wrapping_sub(step), pixel + step];
             let seen = [0, 1].map(|k| is_inside[k] && self.ids.get(beside[k]) == Some(&id));
-            let at = |k: usize| if seen[k] { f64::from(self.texels[beside[k]]) } else { here };
+            let at = |k: usize| if seen[k] { f64::from(values[beside[k]]) } else { here };
             let n = f64::from(u8::from(seen[0]) + u8::from(seen[1]));
             if n > 0.0 { (at(1) - at(0)) / n } else { 0.0 }
         };
@@ -298,6 +327,13 @@ impl<'s> Drawn<'s> {
         let sum: f64 = (0..3).map(|k| shares[k] * shade.corners[k]).sum();
         sum.max(a.min(b).min(c)).min(a.max(b).max(c))
     }
+}
+
+/// A luminance with what is given off added, and whether that is more than white.
+fn with_glow(luminance: f64, glow: f64) -> (f64, bool) {
+    let sum = luminance + glow;
+    let is_full = glow > 0.0 && sum > WHITE;
+    (if is_full { WHITE } else { sum }, is_full)
 }
 
 /// Adds what changes inside a triangle with interpolated luminance: luminances travel with the corners.
@@ -392,101 +428,4 @@ fn motion(view: &View, p: DVec3, size: f64) -> [DVec3; 2] {
     let (dx, dy) =
         (scale * view.right + (at.x - 0.5) * away, (at.y - 0.5) * away - scale * view.up);
     [size * dx, size * dy]
-}
-
-impl Shade {
-    fn of(scene: &Scene, view: usize, face: &SceneFace, points: &[DVec2]) -> Self {
-        let p = face.vertices.map(|v| scene.position(v));
-        let area = (p[1] - p[0]).cross(p[2] - p[0]);
-        let length = area.length();
-        let normal = if length > 0.0 { area / length } else { DVec3::ZERO };
-        match scene.params.shading {
-            Shading::Flat => {
-                let mut this = Self::flat(scene, view, face, p, (normal, length));
-                if face.surface.paint.is_some() || !this.is_even() {
-                    this.share(face.vertices.map(|v| points[v as usize]));
-                }
-                this
-            }
-            Shading::Smooth => Self::smooth(scene, view, face, (p, normal), points),
-        }
-    }
-
-    fn flat(
-        scene: &Scene,
-        view: usize,
-        face: &SceneFace,
-        p: [DVec3; 3],
-        (normal, length): (DVec3, f64),
-    ) -> Self {
-        let v = &scene.views[view];
-        let ambient = scene.params.ambient;
-        let albedos = face.surface.albedo.map(f64::from);
-        let albedo = albedos.iter().sum::<f64>() / 3.0;
-        let centroid = (p[0] + p[1] + p[2]) / 3.0;
-        let side = if v.sees_front(centroid, normal) { 1.0 } else { -1.0 };
-        let cosine = side * normal.dot(v.to_light);
-        if face.surface.is_unlit {
-            return Self { corners: albedos, ..Self::default() };
-        }
-        let diffuse = albedo * (1.0 - ambient);
-        let corners = albedos.map(|a| a * ambient + a * (1.0 - ambient) * cosine.max(0.0));
-        if cosine <= 0.0 || length == 0.0 {
-            return Self { corners, ..Self::default() };
-        }
-        let by_area = side * diffuse / length * (v.to_light - normal * normal.dot(v.to_light));
-        let (by1, by2) = ((p[2] - p[0]).cross(by_area), by_area.cross(p[1] - p[0]));
-        Self { corners, by: [-(by1 + by2), by1, by2], ..Self::default() }
-    }
-
-    fn smooth(
-        scene: &Scene,
-        view: usize,
-        face: &SceneFace,
-        (p, normal): ([DVec3; 3], DVec3),
-        points: &[DVec2],
-    ) -> Self {
-        let v = &scene.views[view];
-        let ambient = scene.params.ambient;
-        let mut this = Self::default();
-        for (k, place) in p.into_iter().enumerate() {
-            let albedo = f64::from(face.surface.albedo[k]);
-            if face.surface.is_unlit {
-                this.corners[k] = albedo;
-                continue;
-            }
-            let side = if v.sees_front(place, normal) { 1.0 } else { -1.0 };
-            let cosine = side * scene.normal(face.vertices[k]).dot(v.to_light);
-            this.corners[k] = albedo * (ambient + (1.0 - ambient) * cosine.max(0.0));
-            if cosine > 0.0 {
-                this.by[k] = albedo * (1.0 - ambient) * side * v.to_light;
-            }
-        }
-        this.share(face.vertices.map(|v| points[v as usize]));
-        this
-    }
-
-    /// Whether the corners have one luminance.
-    fn is_even(&self) -> bool {
-        let [a, b, c] = self.corners;
-        a == b && b == c
-    }
-
-    /// Finds the corners' shares.
-    fn share(&mut self, q: [DVec2; 3]) {
-        let area = (q[1] - q[0]).perp_dot(q[2] - q[0]);
-        for k in 0..3 {
-            let (a, b) = (q[(k + 1) % 3], q[(k + 2) % 3]);
-            let middle = DVec2::splat(0.5);
-            self.shares[0][k] = (a - middle).perp_dot(b - middle) / area;
-            self.shares[1][k] = (a.y - b.y) / area;
-            self.shares[2][k] = (b.x - a.x) / area;
-        }
-    }
-
-    /// The corners' shares in a pixel, which add up to 1; outside the triangle some are negative.
-    fn shares_at(&self, pixel: usize, size: usize) -> [f64; 3] {
-        let (x, y) = ((pixel % size) as f64, (pixel / size) as f64);
-        [0, 1, 2].map(|k| self.shares[0][k] + x * self.shares[1][k] + y * self.shares[2][k])
-    }
 }

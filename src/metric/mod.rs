@@ -9,6 +9,7 @@ mod drawn;
 pub mod image;
 mod objective;
 mod palette;
+mod shade;
 mod slopes;
 #[cfg(test)]
 mod slopes_tests;

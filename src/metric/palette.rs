@@ -1,7 +1,7 @@
 //! The textures of a model as the pictures need them: luminances, no finer than pictures show.
 //!
 //! Colours are taken as they are encoded, without a transfer curve, as `image.rs` takes all others: base colour
-//! texture times factor. Where a material is masked, alpha below its threshold leaves holes; where it is blended, as
+//! texture times factor; and what is given off, emissive texture times factor, each channel up to full scale. Where a material is masked, alpha below its threshold leaves holes; where it is blended, as
 //! large a share of the pixels, evenly spread: what lies behind shows through without an order.
 
 use std::sync::Arc;
@@ -9,7 +9,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use crate::{
-    mesh::{Coverage, Image, Material, Mesh, Pixels, TextureUse, Wrap},
+    mesh::{Coverage, Image, Material, Mesh, TextureUse, Wrap},
     render::{Alpha, Sieve, Texels},
 };
 
@@ -54,6 +54,15 @@ struct Recipe<'m> {
     wrap: [Wrap; 2],
     factor: [f32; 4],
     sieve: Option<Sieve>,
+    /// What is given off.
+    glow: Option<Shine<'m>>,
+}
+
+/// A factor times an image, or the same everywhere.
+#[derive(Clone, Copy, PartialEq)]
+struct Shine<'m> {
+    image: Option<&'m Image>,
+    factor: [f32; 3],
 }
 
 impl Palette {
@@ -61,8 +70,7 @@ impl Palette {
     pub fn of(mesh: &Mesh, image_size: u32) -> Self {
         let mut recipes: Vec<Recipe<'_>> = Vec::new();
         let mut paint = |m: &Material| {
-            let recipe = Recipe::of(mesh, m)?;
-            let at = m.base_texture.filter(|_| recipe.image.is_some());
+            let (recipe, at) = Recipe::of(mesh, m)?;
             let known = recipes.iter().position(|r| *r == recipe);
             let map = known.unwrap_or(recipes.len());
             if known.is_none() {
@@ -78,8 +86,8 @@ impl Palette {
         let most = TEXELS_PER_PIXEL * image_size.next_power_of_two();
         let drawn: Vec<_> = recipes.par_iter().map(|r| r.drawn(most)).collect();
         let mut texels = Texels::default();
-        for (recipe, (bits, luminances, alpha)) in recipes.iter().zip(drawn) {
-            texels.add(bits, luminances, recipe.wrap.map(|w| w == Wrap::Clamp), alpha);
+        for (recipe, Drawn { bits, luminances, alpha, glow }) in recipes.iter().zip(drawn) {
+            texels.add(bits, luminances, recipe.wrap.map(|w| w == Wrap::Clamp), alpha, glow);
         }
         Self { texels: Arc::new(texels), paintings }
     }
@@ -109,12 +117,24 @@ fn scaled(at: &TextureUse, wrap: [Wrap; 2]) -> [[f32; 3]; 2] {
 /// What takes the place of an image that is not there.
 const WHITE: [u8; 4] = [255; 4];
 
+/// A texture, on sides that are powers of two.
+struct Drawn {
+    /// The logarithms of these.
+    bits: [u32; 2],
+    luminances: Vec<u8>,
+    alpha: Option<Alpha>,
+    glow: Option<Vec<u8>>,
+}
+
 impl<'m> Recipe<'m> {
-    /// Of a material that needs one: it has a texture that was read, or lets something through.
-    fn of(mesh: &'m Mesh, m: &Material) -> Option<Self> {
+    /// Of a material that needs one, and where it lies: it has a texture that was read, gives something off, or lets
+    /// something through.
+    fn of(mesh: &'m Mesh, m: &Material) -> Option<(Self, Option<TextureUse>)> {
         let texture = m.base_texture.and_then(|at| mesh.textures.get(at.texture as usize));
         let image = texture.and_then(|t| mesh.images.get(t.image? as usize));
         let image = image.filter(|image| image.pixels.is_some());
+        let glow = mesh.glow_of(m);
+        let glowing = glow.and_then(|glow| glow.texture);
         let sieve = match m.coverage() {
             Coverage::Opaque => None,
             Coverage::Mask(least) => {
@@ -122,47 +142,66 @@ impl<'m> Recipe<'m> {
             }
             Coverage::Blend => Some(Sieve::Dithered),
         };
-        let wrap = texture.filter(|_| image.is_some()).map_or([Wrap::Repeat; 2], |t| t.wrap);
-        let this = Self { image, wrap, factor: m.base_color, sieve };
+        let base =
+            m.base_texture.zip(texture).filter(|_| image.is_some()).map(|(at, t)| (at, t.wrap));
+        let place = base.or(glowing.map(|glowing| (glowing.at, glowing.wrap)));
+        let wrap = place.map_or([Wrap::Repeat; 2], |(_, wrap)| wrap);
+        let glow = glow.map(|glow| Shine { image: glowing.map(|g| g.image), factor: glow.factor });
+        let this = Self { image, wrap, factor: m.base_color, sieve, glow };
         // What is opaque everywhere needs no second look at each pixel.
         let sieve = sieve.filter(|sieve| this.is_pierced(*sieve));
-        (image.is_some() || sieve.is_some()).then_some(Self { sieve, ..this })
-    }
-
-    fn pixels(&self) -> Option<&'m Pixels> {
-        self.image?.pixels.as_deref()
+        let is_needed = image.is_some() || sieve.is_some() || glow.is_some();
+        is_needed.then_some((Self { sieve, ..this }, place.map(|(at, _)| at)))
     }
 
     fn is_pierced(&self, sieve: Sieve) -> bool {
         let least = if let Sieve::Below(least) = sieve { least } else { 255 };
         let alpha = |p: &[u8; 4]| to_byte(f32::from(p[3]) * self.factor[3]);
-        let texels = self.pixels().map_or(std::slice::from_ref(&WHITE), |p| p.rgba.as_chunks().0);
-        texels.iter().any(|p| alpha(p) < least)
+        texels(self.image).iter().any(|p| alpha(p) < least)
     }
 
-    /// Luminances and alphas, on sides that are powers of two and at most `most`, and the logarithms of these.
-    fn drawn(&self, most: u32) -> ([u32; 2], Vec<u8>, Option<Alpha>) {
+    /// Luminances, alphas and what is given off, on sides of at most `most`.
+    fn drawn(&self, most: u32) -> Drawn {
         let [r, g, b] = std::array::from_fn(|c| REC709[c] as f32 * self.factor[c]);
-        let (bits, luminances) = self.channel([r, g, b, 0.0], most);
+        let base = |weights: [f32; 4]| {
+            let sum = |p: &[u8; 4]| (0..4).map(|c| weights[c] * f32::from(p[c])).sum();
+            self.channel(self.image, sum, most)
+        };
+        let (bits, luminances) = base([r, g, b, 0.0]);
         let alpha = self.sieve.map(|sieve| {
-            let (_, values) = self.channel([0.0, 0.0, 0.0, self.factor[3]], most);
+            let (_, values) = base([0.0, 0.0, 0.0, self.factor[3]]);
             Alpha { values, sieve }
         });
-        (bits, luminances, alpha)
+        let glow = self.glow.map(|glow| {
+            let channel = |p: &[u8; 4], c: usize| (glow.factor[c] * f32::from(p[c])).min(255.0);
+            let sum = |p: &[u8; 4]| (0..3).map(|c| REC709[c] as f32 * channel(p, c)).sum();
+            self.channel(glow.image, sum, most).1
+        });
+        // What is black everywhere needs no second look either.
+        let glow = glow.filter(|glow| glow.iter().any(|lum| *lum > 0));
+        Drawn { bits, luminances, alpha, glow }
     }
 
-    /// A weighted sum of the image's channels.
-    fn channel(&self, weights: [f32; 4], most: u32) -> ([u32; 2], Vec<u8>) {
-        let (width, height) =
-            self.pixels().map_or((1, 1), |p| (p.width as usize, p.height as usize));
-        let sum = |p: &[u8; 4]| (0..4).map(|c| weights[c] * f32::from(p[c])).sum();
-        let texels = self.pixels().map_or(std::slice::from_ref(&WHITE), |p| p.rgba.as_chunks().0);
-        let level: Vec<f32> = texels.iter().map(sum).collect();
+    /// Sides that hold both images, at most `most`.
+    fn sides(&self, most: u32) -> [usize; 2] {
+        let images = [self.image, self.glow.and_then(|glow| glow.image)].map(size);
         let side = |n: usize| n.next_power_of_two().min(most as usize);
-        let across = resized(&level, (width, height), side(width));
-        let down = resized(&transposed(&across, side(width)), (height, side(width)), side(height));
-        let mut level = transposed(&down, side(height));
-        let (mut bits, mut width) = ([side(width), side(height)].map(usize::ilog2), side(width));
+        [side(images[0].0.max(images[1].0)), side(images[0].1.max(images[1].1))]
+    }
+
+    /// A value of each of an image's texels, and the logarithms of the sides.
+    fn channel(
+        &self,
+        image: Option<&Image>,
+        value: impl Fn(&[u8; 4]) -> f32,
+        most: u32,
+    ) -> ([u32; 2], Vec<u8>) {
+        let ((width, height), [across, down]) = (size(image), self.sides(most));
+        let level: Vec<f32> = texels(image).iter().map(value).collect();
+        let level = resized(&level, (width, height), across);
+        let level = resized(&transposed(&level, across), (height, across), down);
+        let mut level = transposed(&level, down);
+        let (mut bits, mut width) = ([across, down].map(usize::ilog2), across);
         if self.wrap[0] == Wrap::Mirror {
             level = mirrored(&level, width);
             (bits[0], width) = (bits[0] + 1, 2 * width);
@@ -174,6 +213,18 @@ impl<'m> Recipe<'m> {
         }
         (bits, level.into_iter().map(to_byte).collect())
     }
+}
+
+/// Red, green, blue and alpha of an image; a single white texel where there is none.
+fn texels(image: Option<&Image>) -> &[[u8; 4]] {
+    let pixels = image.and_then(|image| image.pixels.as_deref());
+    pixels.map_or(std::slice::from_ref(&WHITE), |pixels| pixels.rgba.as_chunks().0)
+}
+
+/// Width and height of [`texels`].
+fn size(image: Option<&Image>) -> (usize, usize) {
+    let pixels = image.and_then(|image| image.pixels.as_deref());
+    pixels.map_or((1, 1), |pixels| (pixels.width as usize, pixels.height as usize))
 }
 
 fn to_byte(value: f32) -> u8 {
@@ -210,126 +261,5 @@ fn mirrored(values: &[f32], width: usize) -> Vec<f32> {
 }
 
 #[cfg(test)]
-mod tests {
-    use std::sync::Arc;
-
-    use glam::DVec3;
-    use serde_json::{Value, json};
-
-    use crate::{
-        mesh::{Image, Material, Mesh, Pixels, Texture, TextureUse},
-        metric::{Pictures, bounding_sphere, is_white, reference_pictures},
-        render::{
-            RenderParams, Shading,
-            view::{Projection, ViewParams, cameras},
-        },
-    };
-
-    /// A square that faces the viewer, of one material.
-    fn wall(source: Value, alpha: f32) -> Mesh {
-        let corner = |x: f64, y: f64| DVec3::new(x, y, 0.0);
-        let mut mesh = Mesh::from_parts(
-            vec![corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0)],
-            vec![[0, 1, 2], [0, 2, 3]],
-        );
-        let base_color = [1.0, 1.0, 1.0, alpha];
-        mesh.materials = vec![Material { base_color, source: Some(source), ..Material::default() }];
-        mesh
-    }
-
-    /// The share of the wall's pixels that it covers; the background is black.
-    fn share_seen(mesh: &Mesh) -> f64 {
-        share_seen_where(mesh, false)
-    }
-
-    fn share_seen_where(mesh: &Mesh, hides_back_faces: bool) -> f64 {
-        let params = RenderParams {
-            image_size: 128,
-            shading: Shading::Flat,
-            ambient: 0.1,
-            background: 0,
-            interior_views: 0,
-            hides_back_faces,
-        };
-        let view_params = ViewParams {
-            directions: vec![DVec3::Z],
-            fov_degrees: 60.0,
-            projection: Projection::Orthographic,
-            light_degrees: 0.0,
-        };
-        let views = cameras(&bounding_sphere(mesh), &view_params);
-        let seen = |mesh: &Mesh| {
-            let pictures = Pictures::of(mesh, params.clone(), views.clone());
-            let picture = reference_pictures(mesh, &pictures).pictures.remove(0);
-            picture.into_iter().filter(|lum| *lum > 0).count() as f64
-        };
-        seen(mesh) / seen(&wall(Value::Null, 1.0))
-    }
-
-    #[test]
-    fn alpha_says_how_much_of_a_surface_is_there() {
-        let (mask, blend) =
-            (json!({ "alphaMode": "MASK", "alphaCutoff": 0.4 }), json!({ "alphaMode": "BLEND" }));
-        for (source, alpha, expected) in [
-            (json!({ "alphaMode": "OPAQUE" }), 0.0, 1.0),
-            (mask.clone(), 0.41, 1.0),
-            (mask, 0.39, 0.0),
-            (json!({ "alphaMode": "MASK" }), 0.49, 0.0),
-            (blend.clone(), 0.25, 0.25),
-            (blend.clone(), 0.0, 0.0),
-            (blend, 1.0, 1.0),
-        ] {
-            let found = share_seen(&wall(source.clone(), alpha));
-            assert!((found - expected).abs() < 0.01, "{source} {alpha}: {found}");
-        }
-        assert!(is_white(&wall(Value::Null, 0.5)));
-        assert!(!is_white(&wall(json!({ "alphaMode": "BLEND" }), 0.5)));
-    }
-
-    #[test]
-    fn backs_of_single_sided_materials_can_be_hidden() {
-        for (double_sided, is_turned, hides, expected) in [
-            (false, true, true, 0.0),
-            (false, true, false, 1.0),
-            (false, false, true, 1.0),
-            (true, true, true, 1.0),
-        ] {
-            let mut mesh = wall(Value::Null, 1.0);
-            mesh.materials[0].double_sided = double_sided;
-            if is_turned {
-                mesh.faces.iter_mut().for_each(|face| face.swap(1, 2));
-            }
-            assert_eq!(
-                share_seen_where(&mesh, hides),
-                expected,
-                "{double_sided} {is_turned} {hides}"
-            );
-        }
-    }
-
-    /// Seen from so far that several texels fall into a pixel, a fence of thin bars covers as much as from near by.
-    #[test]
-    fn masks_keep_their_share_at_coarse_levels() {
-        let side = 2048;
-        let bar = |x: u32, y: u32| u8::from((x / 3 + y / 5).is_multiple_of(4)) * 255;
-        let texel = |k: u32| [255, 255, 255, bar(k % side, k / side)];
-        let rgba = (0..side * side).flat_map(texel).collect();
-        let mut mesh = wall(json!({ "alphaMode": "MASK" }), 1.0);
-        mesh.images = vec![Image {
-            pixels: Some(Arc::new(Pixels { width: side, height: side, rgba })),
-            ..Image::default()
-        }];
-        mesh.textures = vec![Texture { image: Some(0), ..Texture::default() }];
-        let transform = [[0.5, 0.0, 0.5], [0.0, 0.5, 0.5]];
-        mesh.materials[0].base_texture = Some(TextureUse { texture: 0, tex_coord: 0, transform });
-        mesh.face_wedges = mesh.faces.clone();
-        let values = mesh.positions.iter().flat_map(|p| [p.x as f32, p.y as f32]).collect();
-        mesh.layers = vec![crate::mesh::AttributeLayer {
-            semantic: crate::mesh::Semantic::TexCoord(0),
-            width: 2,
-            values,
-        }];
-        let found = share_seen(&mesh);
-        assert!((found - 0.25).abs() < 0.04, "{found}");
-    }
-}
+#[path = "palette_tests.rs"]
+mod tests;

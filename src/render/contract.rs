@@ -51,10 +51,11 @@ pub struct Look {
     pub interior_views: usize,
     pub coloured: bool,
     pub painted: bool,
+    pub glows: bool,
     pub hides_back_faces: bool,
 }
 
-pub const LOOKS: [Look; 6] = [
+pub const LOOKS: [Look; 7] = [
     Look {
         image_size: 64,
         n_views: 4,
@@ -63,6 +64,7 @@ pub const LOOKS: [Look; 6] = [
         interior_views: 0,
         coloured: false,
         painted: false,
+        glows: false,
         hides_back_faces: false,
     },
     Look {
@@ -73,6 +75,7 @@ pub const LOOKS: [Look; 6] = [
         interior_views: 3,
         coloured: true,
         painted: false,
+        glows: false,
         hides_back_faces: false,
     },
     Look {
@@ -83,6 +86,7 @@ pub const LOOKS: [Look; 6] = [
         interior_views: 8,
         coloured: true,
         painted: false,
+        glows: false,
         hides_back_faces: false,
     },
     Look {
@@ -93,6 +97,7 @@ pub const LOOKS: [Look; 6] = [
         interior_views: 0,
         coloured: false,
         painted: false,
+        glows: false,
         hides_back_faces: false,
     },
     Look {
@@ -103,6 +108,7 @@ pub const LOOKS: [Look; 6] = [
         interior_views: 1,
         coloured: true,
         painted: true,
+        glows: false,
         hides_back_faces: true,
     },
     Look {
@@ -113,7 +119,19 @@ pub const LOOKS: [Look; 6] = [
         interior_views: 0,
         coloured: true,
         painted: true,
+        glows: false,
         hides_back_faces: true,
+    },
+    Look {
+        image_size: 128,
+        n_views: 6,
+        shading: Shading::Flat,
+        projection: Projection::Perspective,
+        interior_views: 0,
+        coloured: true,
+        painted: true,
+        glows: true,
+        hides_back_faces: false,
     },
 ];
 
@@ -152,19 +170,21 @@ pub fn scene_of(positions: Vec<DVec3>, faces: Vec<[u32; 3]>, look: Look) -> Scen
     let faces = faces.into_iter().enumerate();
     let faces =
         faces.map(|(f, v)| Some(SceneFace { vertices: v, surface: surface(f, v) })).collect();
-    Scene::new(params, views, Arc::new(texels()), positions, faces)
+    Scene::new(params, views, Arc::new(texels(look.glows)), positions, faces)
 }
 
 /// Four textures: a repeated one, one that is not square and held at its edges along one axis, one with holes that a
-/// threshold makes, and one that is dithered.
-fn texels() -> Texels {
+/// threshold makes, and one that is dithered. If it `glows`, the first and the last give something off.
+fn texels(glows: bool) -> Texels {
     let noise = |k: u32| (k.wrapping_mul(2_654_435_761) >> 24) as u8;
+    let some = |n: u32| (0..n).map(noise).collect::<Vec<u8>>();
+    let glow = |n: u32| glows.then(|| (n..2 * n).map(noise).collect());
     let mut texels = Texels::default();
-    texels.add([6, 6], (0..64 * 64).map(noise).collect(), [false; 2], None);
-    texels.add([5, 3], (0..32 * 8).map(noise).collect(), [true, false], None);
-    for sieve in [Sieve::Below(100), Sieve::Dithered] {
+    texels.add([6, 6], some(64 * 64), [false; 2], None, glow(64 * 64));
+    texels.add([5, 3], some(32 * 8), [true, false], None, None);
+    for (sieve, glow) in [(Sieve::Below(100), None), (Sieve::Dithered, glow(16 * 16))] {
         let alpha = Alpha { values: (7..16 * 16 + 7).map(noise).collect(), sieve };
-        texels.add([4, 4], (0..16 * 16).map(noise).collect(), [false; 2], Some(alpha));
+        texels.add([4, 4], some(16 * 16), [false; 2], Some(alpha), glow);
     }
     texels
 }

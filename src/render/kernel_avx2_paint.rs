@@ -26,6 +26,7 @@ pub(super) struct Brush<'a> {
     width_bits: __m128i,
     at: usize,
     holes: Option<Holes>,
+    glow_at: Option<usize>,
     /// The first pixel of the row's first block.
     corner: [i32; 2],
 }
@@ -46,6 +47,7 @@ impl<'a> Brush<'a> {
             width_bits: _mm_set1_epi64x(i64::from(paint.bits[0])),
             at: paint.at as usize,
             holes: paint.holes,
+            glow_at: paint.glow_at.map(|at| at.get() as usize),
             corner: [i0, j0],
         }
     }
@@ -56,7 +58,8 @@ impl<'a> Brush<'a> {
         self.corner[1] += BLOCK_HEIGHT;
     }
 
-    /// The keys of block `column` of the row, their luminances seen through the texture; and where it has holes.
+    /// The keys of block `column` of the row, their luminances seen through the texture, with what it gives off; and
+    /// where it has holes.
     #[target_feature(enable = "avx2")]
     pub(super) fn painted(&self, keys: Lanes, column: i32) -> (Lanes, Lanes) {
         let place = self.coordinates(column);
@@ -66,7 +69,10 @@ impl<'a> Brush<'a> {
             _mm256_mullo_epi32(lum, self.look_up(self.at, place)),
             _mm256_set1_epi32(257),
         );
-        let lum = _mm256_srli_epi32::<16>(_mm256_add_epi32(product, _mm256_set1_epi32(32_768)));
+        let mut lum = _mm256_srli_epi32::<16>(_mm256_add_epi32(product, _mm256_set1_epi32(32_768)));
+        if let Some(glow_at) = self.glow_at {
+            lum = _mm256_min_epi32(_mm256_add_epi32(lum, self.look_up(glow_at, place)), low);
+        }
         let painted = _mm256_or_si256(_mm256_sub_epi32(keys, _mm256_and_si256(keys, low)), lum);
         let is_hole = match self.holes {
             None => _mm256_setzero_si256(),

@@ -11,10 +11,7 @@
 //! 5. a triangle's [`Setup`] depends on its three corners in stored order and on nothing else: a
 //!    triangle that an edit adds rasters to the same bits as in a full re-render.
 
-use super::{
-    paint::{Painted, modulated},
-    view::PicturePoint,
-};
+use super::{paint::Painted, view::PicturePoint};
 
 /// Width of the lattice, bits.
 const LATTICE_BITS: u32 = 14;
@@ -286,11 +283,11 @@ impl Setup {
             })
     }
 
-    /// The luminance at pixel (i, j), with what the texture has there.
+    /// The luminance at pixel (i, j), with what the texture has and gives off there.
     #[inline(always)]
     pub fn lum_at(&self, texels: &[u32], i: i32, j: i32) -> u8 {
         let lum = self.lum.at(i, j, LUM_BITS) as u32;
-        self.paint.as_ref().map_or(lum, |p| modulated(lum, p.at(texels, i, j))) as u8
+        self.paint.as_ref().map_or(lum, |p| p.shown(lum, texels, i, j)) as u8
     }
 
     /// Whether the texture has a hole at pixel (i, j).

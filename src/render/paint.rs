@@ -10,7 +10,10 @@
 //! 2. a word of [`Texels`] holds a texel and its right, lower, and lower right neighbour: one look is enough;
 //! 3. a triangle spans at most 2^9 texels of its level along each axis;
 //! 4. what a triangle looks like in a pixel depends on its corners' places and coordinates, and on the view;
-//! 5. a hole, where the texture's alpha says so, is no fragment: the triangle does not cover that pixel.
+//! 5. a hole, where the texture's alpha says so, is no fragment: the triangle does not cover that pixel;
+//! 6. what a surface gives off is added to the light that falls on it, as far as white.
+
+use std::num::NonZeroU32;
 
 use glam::DVec3;
 
@@ -52,6 +55,8 @@ struct Level {
     at: u32,
     /// First word of the alphas, where the texture has holes.
     alpha_at: u32,
+    /// First word of what is given off, where something is.
+    glow_at: Option<NonZeroU32>,
     /// log2 of width and height.
     bits: [u32; 2],
 }
@@ -100,6 +105,8 @@ pub struct Painted {
     pub bits: [u32; 2],
     /// Its holes.
     pub holes: Option<Holes>,
+    /// First word of what it gives off, where something is.
+    pub glow_at: Option<NonZeroU32>,
 }
 
 /// Where a level of a texture has holes.
@@ -113,13 +120,15 @@ pub struct Holes {
 
 impl Texels {
     /// Adds a texture of 2^`bits` texels, luminances row by row from the top; returns its number.
-    /// Coordinates beyond its edges repeat, or are held at them along the axes that are clamped.
+    /// Coordinates beyond its edges repeat, or are held at them along the axes that are clamped. `glow` is what it
+    /// gives off, as many luminances.
     pub fn add(
         &mut self,
         bits: [u32; 2],
         luminances: Vec<u8>,
         is_clamped: [bool; 2],
         alpha: Option<Alpha>,
+        mut glow: Option<Vec<u8>>,
     ) -> u32 {
         let sieve = alpha.as_ref().map(|a| a.sieve);
         let mut alphas = alpha.map(|a| a.values);
@@ -132,11 +141,17 @@ impl Texels {
             if let (Some(values), Some(sieve), Some(share)) = (&alphas, sieve, share) {
                 self.append(&as_open(values, sieve, share), bits, is_clamped);
             }
-            levels.push(Level { at, alpha_at, bits });
+            // Never the first of all words: those of the luminances come before.
+            let glow_at = NonZeroU32::new(self.words.len() as u32).filter(|_| glow.is_some());
+            if let Some(values) = &glow {
+                self.append(values, bits, is_clamped);
+            }
+            levels.push(Level { at, alpha_at, glow_at, bits });
             if bits == [0, 0] {
                 break;
             }
             alphas = alphas.map(|values| halved(&values, bits).0);
+            glow = glow.map(|values| halved(&values, bits).0);
             (level, bits) = halved(&level, bits);
         }
         self.maps.push(Map { levels, is_clamped, sieve });
@@ -146,6 +161,11 @@ impl Texels {
     /// Whether a texture has holes.
     pub fn has_holes(&self, map: u32) -> bool {
         self.maps.get(map as usize).is_some_and(|map| map.sieve.is_some())
+    }
+
+    /// Whether a texture gives something off.
+    pub fn has_glow(&self) -> bool {
+        self.maps.iter().flat_map(|map| &map.levels).any(|level| level.glow_at.is_some())
     }
 
     /// Whether there are no textures.
@@ -207,6 +227,7 @@ impl Texels {
             at: level.at,
             bits: level.bits,
             holes: map.sieve.map(|sieve| Holes { at: level.alpha_at, least: sieve.least() }),
+            glow_at: level.glow_at,
         })
     }
 }
@@ -327,7 +348,22 @@ impl Painted {
     /// The texture's luminance at pixel (i, j).
     #[inline]
     pub fn at(&self, words: &[u32], i: i32, j: i32) -> u32 {
-        self.look_up(words, self.at, i, j)
+        look_up(self.bits, words, self.at, self.place(i, j))
+    }
+
+    /// What it gives off at pixel (i, j).
+    pub fn glow(&self, words: &[u32], i: i32, j: i32) -> u32 {
+        let glow = |at: NonZeroU32| look_up(self.bits, words, at.get(), self.place(i, j));
+        self.glow_at.map_or(0, glow)
+    }
+
+    /// A luminance seen through the texture at pixel (i, j), with what is given off there.
+    #[inline]
+    pub fn shown(&self, luminance: u32, words: &[u32], i: i32, j: i32) -> u32 {
+        let place = self.place(i, j);
+        let seen = modulated(luminance, look_up(self.bits, words, self.at, place));
+        let with = |at: NonZeroU32| (seen + look_up(self.bits, words, at.get(), place)).min(255);
+        self.glow_at.map_or(seen, with)
     }
 
     /// Whether there is a hole at pixel (i, j).
@@ -335,35 +371,40 @@ impl Painted {
     pub fn is_hole(&self, words: &[u32], i: i32, j: i32) -> bool {
         self.holes.is_some_and(|holes| {
             let least = if holes.least == 0 { dither(i, j) } else { holes.least };
-            self.look_up(words, holes.at, i, j) < least
+            look_up(self.bits, words, holes.at, self.place(i, j)) < least
         })
     }
 
+    /// Texel coordinates at pixel (i, j), in 64ths.
     #[inline]
-    fn look_up(&self, words: &[u32], first: u32, i: i32, j: i32) -> u32 {
+    fn place(&self, i: i32, j: i32) -> [i32; 2] {
         let [near, one, two] = [0, 1, 2].map(|k| self.planes[k].at(i, j, PAINT_BITS) as u32);
         let per_near = (1 << 29) / near.max(1);
         let shares = [one, two].map(|share| (share.wrapping_mul(per_near) >> 14) as i32);
-        let coordinate = |axis: usize| {
+        [0, 1].map(|axis| {
             let by = shares[0]
                 .wrapping_mul(self.to[0][axis])
                 .wrapping_add(shares[1].wrapping_mul(self.to[1][axis]));
             let [low, high] = self.range[axis];
             self.from[axis].wrapping_add(by.wrapping_add(1 << 14) >> 15).clamp(low, high)
-        };
-        let (x, y) = (coordinate(0), coordinate(1));
-        let mask = self.bits.map(|b| (1_i32 << b) - 1);
-        let texel = ((y >> TEXEL_BITS & mask[1]) << self.bits[0]) + (x >> TEXEL_BITS & mask[0]);
-        let [a, b, c, d] = words
-            .get(first as usize + texel as usize)
-            .copied()
-            .unwrap_or(u32::MAX)
-            .to_le_bytes()
-            .map(u32::from);
-        let (fx, fy) = ((x & 63) as u32, (y & 63) as u32);
-        let (top, bottom) = (a * (64 - fx) + b * fx, c * (64 - fx) + d * fx);
-        (top * (64 - fy) + bottom * fy + 2048) >> 12
+        })
     }
+}
+
+/// What lies at some coordinates, in 64ths of a texel, of a level of 2^`bits` texels that begins at a word.
+#[inline]
+fn look_up(bits: [u32; 2], words: &[u32], first: u32, [x, y]: [i32; 2]) -> u32 {
+    let mask = bits.map(|b| (1_i32 << b) - 1);
+    let texel = ((y >> TEXEL_BITS & mask[1]) << bits[0]) + (x >> TEXEL_BITS & mask[0]);
+    let [a, b, c, d] = words
+        .get(first as usize + texel as usize)
+        .copied()
+        .unwrap_or(u32::MAX)
+        .to_le_bytes()
+        .map(u32::from);
+    let (fx, fy) = ((x & 63) as u32, (y & 63) as u32);
+    let (top, bottom) = (a * (64 - fx) + b * fx, c * (64 - fx) + d * fx);
+    (top * (64 - fy) + bottom * fy + 2048) >> 12
 }
 
 /// A luminance seen through a texture's: the product of two shares of 255, rounded.
@@ -373,97 +414,5 @@ pub fn modulated(luminance: u32, texel: u32) -> u32 {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::render::view::{BoundingSphere, Projection, ViewParams, camera};
-
-    /// 64 × 64 texels that grow brighter to the right: texel x has 4 x.
-    fn ramp(is_clamped: bool) -> Texels {
-        let mut texels = Texels::default();
-        let row: Vec<u8> = (0..64).map(|x| 4 * x).collect();
-        texels.add([6, 6], row.repeat(64), [is_clamped; 2], None);
-        texels
-    }
-
-    /// A floor that is seen at a flat angle, its far end three times as far away as its near end: what each pixel
-    /// shows is where its ray meets the floor, not where it lies between the corners.
-    #[test]
-    fn perspective_is_that_of_rays() {
-        let sphere = BoundingSphere { center: DVec3::ZERO, radius: 1.0 };
-        let params = ViewParams {
-            directions: Vec::new(),
-            fov_degrees: 60.0,
-            projection: Projection::Perspective,
-            light_degrees: 0.0,
-        };
-        let view = camera(&sphere, &params, DVec3::new(0.0, 0.5, 1.0), 0.0);
-        let lattice = Lattice::new(256);
-        // Texture coordinate u runs from the far end to the near one.
-        let corners =
-            [DVec3::new(-0.6, 0.0, -0.8), DVec3::new(0.6, 0.0, -0.8), DVec3::new(0.0, 0.0, 0.8)];
-        let paint = Paint { map: 0, uv: [[0.1, 0.0], [0.1, 0.0], [0.9, 0.0]] };
-        let points = corners.map(|p| lattice.snap(view.project(p)));
-        let texels = ramp(true);
-        let painted = texels.painted(&lattice, &view, (points, corners), &paint).unwrap();
-        let (mut n, mut affine_error) = (0, 0.0_f64);
-        for step in 1..40 {
-            let z = -0.8 + 1.6 * f64::from(step) / 40.0;
-            let at = view.project(DVec3::new(0.0, 0.0, z));
-            let (i, j) = ((at.x * 256.0) as i32, (at.y * 256.0) as i32);
-            // Where the ray through the pixel's centre meets the floor.
-            let (x, y) = ((f64::from(i) + 0.5) / 128.0 - 1.0, 1.0 - (f64::from(j) + 0.5) / 128.0);
-            let slope = libm::tan(30.0_f64.to_radians());
-            let ray = -view.back + slope * (x * view.right + y * view.up);
-            let hit = view.eye - ray * (view.eye.y / ray.y);
-            let u = 0.1 + 0.8 * (hit.z + 0.8) / 1.6;
-            let expected = 4.0 * (64.0 * u - 0.5);
-            let found = f64::from(painted.at(texels.words(), i, j));
-            assert!((found - expected).abs() < 3.0, "{found}, not {expected} at z = {z}");
-            let ends = [corners[0], corners[2]].map(|p| view.project(p).y);
-            let affine = 0.1 + 0.8 * (at.y - ends[0]) / (ends[1] - ends[0]);
-            affine_error = affine_error.max((256.0 * (affine - u)).abs());
-            n += 1;
-        }
-        assert!(n == 39 && affine_error > 20.0, "the test would not notice: {affine_error}");
-    }
-
-    #[test]
-    fn levels_are_means_and_words_hold_neighbours() {
-        let texels = ramp(false);
-        let at = |level: &Level, x: u32, y: u32| {
-            texels.words[(level.at + (y << level.bits[0]) + x) as usize].to_le_bytes()
-        };
-        let levels = &texels.maps[0].levels;
-        assert_eq!(levels.len(), 7);
-        assert_eq!(at(&levels[0], 3, 9), [12, 16, 12, 16]);
-        assert_eq!(at(&levels[0], 63, 63), [252, 0, 252, 0], "it repeats");
-        assert_eq!(at(&levels[1], 1, 0), [10, 18, 10, 18]);
-        assert_eq!(at(&levels[6], 0, 0), [126; 4]);
-        let edge = ramp(true);
-        assert_eq!(edge.words[63].to_le_bytes(), [252; 4], "it is held");
-    }
-
-    /// A coarse picture of a fine texture shows its mean, not whatever texel lies under a pixel's centre.
-    #[test]
-    fn far_textures_are_seen_at_coarse_levels() {
-        let mut texels = Texels::default();
-        let checks = (0..256 * 256).map(|k| if (k / 256 + k) % 2 == 0 { 0 } else { 255 }).collect();
-        texels.add([8, 8], checks, [false; 2], None);
-        let lattice = Lattice::new(64);
-        let sphere = BoundingSphere { center: DVec3::ZERO, radius: 1.0 };
-        let params = ViewParams {
-            directions: Vec::new(),
-            fov_degrees: 60.0,
-            projection: Projection::Orthographic,
-            light_degrees: 0.0,
-        };
-        let view = camera(&sphere, &params, DVec3::Z, 0.0);
-        let corners =
-            [DVec3::new(-0.7, -0.7, 0.0), DVec3::new(0.7, -0.7, 0.0), DVec3::new(0.0, 0.7, 0.0)];
-        let points = corners.map(|p| lattice.snap(view.project(p)));
-        let paint = Paint { map: 0, uv: [[0.0, 1.0], [1.0, 1.0], [0.5, 0.0]] };
-        let painted = texels.painted(&lattice, &view, (points, corners), &paint).unwrap();
-        assert!(painted.bits[0] < 7, "256 texels on 45 pixels: {:?}", painted.bits);
-        assert!((20..44).all(|i| painted.at(texels.words(), i, 40) == 128));
-    }
-}
+#[path = "paint_tests.rs"]
+mod tests;

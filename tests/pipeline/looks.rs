@@ -3,11 +3,13 @@
 
 use std::collections::BTreeMap;
 
+use serde_json::json;
+
 use lookalike::{
-    compare::sample_mesh,
+    compare::{Appearance, Look, Params, Reference, sample_mesh, textured_torus},
     io::{Limits, read, write_glb},
     jobs::spec::{Effort, Projection, Render, Shading, Spec},
-    mesh::{Mesh, shapes},
+    mesh::{Material, Mesh, shapes},
     render::adapters,
 };
 
@@ -153,4 +155,38 @@ fn levels_on_the_way_cost_nothing() {
     let asked: Vec<_> = check_levels(&chain).header().levels.iter().map(|l| l.faces).collect();
     assert!(asked.is_sorted() || asked.iter().rev().is_sorted(), "{asked:?}");
     assert_eq!(asked.len(), 3);
+}
+
+/// A torus that is black, with numbers and squares that glow, if it does.
+fn black_torus(glows: bool) -> Mesh {
+    let mut mesh = textured_torus();
+    let mut source = json!({ "pbrMetallicRoughness": { "baseColorFactor": [0, 0, 0, 1] } });
+    if glows {
+        source["emissiveFactor"] = json!([1, 1, 1]);
+        source["emissiveTexture"] = json!({ "index": 0 });
+    }
+    let base_color = [0.0, 0.0, 0.0, 1.0];
+    mesh.materials = vec![Material { base_color, source: Some(source), ..Material::default() }];
+    mesh
+}
+
+/// What the pictures see glow stays where it was better than what they do not.
+#[test]
+fn what_glows_is_kept() {
+    let original = black_torus(true);
+    let look = Look { appearance: Appearance::Coloured, ..Look::default() };
+    let reference = Reference::new(&original, &Params { look, ..Params::default() });
+    let difference = |glows: bool| {
+        let render = Render { n_views: 6, image_size: 128, ..Render::default() };
+        let input = write_glb(&black_torus(glows)).unwrap();
+        let done = job(&fast(vec![600], render), "torus.glb", &input, "cpu");
+        assert!(done.result.is_ok(), "{:?}", done.result);
+        let mut level = read("a.glb", &done.files["lod-0.glb"], &Limits::default()).unwrap().mesh;
+        level.materials.clone_from(&original.materials);
+        level.images.clone_from(&original.images);
+        reference.compare(&level).d2_255
+    };
+    let (seen, unseen) = (difference(true), difference(false));
+    eprintln!("d2 where the glow was seen {seen:.2}, where not {unseen:.2}");
+    assert!(seen < 0.9 * unseen, "{seen} against {unseen}");
 }

@@ -1,13 +1,9 @@
-//! Materials: base colours and flags; the rest is carried word for word and named in notes.
+//! Materials: base colours and flags; what they give off is looked at, the rest is carried word for word and named in notes.
 
 use gltf::json::material::Material as JsonMaterial;
 use serde_json::Value;
 
-use super::{
-    super::texture_info,
-    Document, Soup,
-    texture::{label, texture_use},
-};
+use super::{super::texture_info, Document, Soup, texture::label};
 use crate::mesh::{Material, TextureUse};
 
 const BASE_COLOR_TEXTURE: &str = "/pbrMetallicRoughness/baseColorTexture";
@@ -18,16 +14,17 @@ const DIFFUSE_TEXTURE: &str = "/extensions/KHR_materials_pbrSpecularGlossiness/d
 pub(super) fn read_materials(document: &Document<'_>, verbatim: Vec<Value>, soup: &mut Soup) {
     for (i, (material, source)) in document.root.materials.iter().zip(verbatim).enumerate() {
         let name = material.name.clone().unwrap_or_default();
-        let base_texture = in_range(base_texture(&source), &label("material", i, &name), soup);
-        note_what_is_left_out(&source, soup);
-        soup.materials.push(Material {
+        let label = label("material", i, &name);
+        let material = Material {
             name,
             base_color: base_color(material, &source),
-            base_texture,
+            base_texture: in_range(base_texture(&source), &label, soup),
             double_sided: material.double_sided,
             unlit: material.extensions.as_ref().is_some_and(|e| e.unlit.is_some()),
             source: Some(source),
-        });
+        };
+        note_what_is_left_out(&material, &label, soup);
+        soup.materials.push(material);
     }
 }
 
@@ -46,7 +43,7 @@ pub(super) fn default_material(document: &Document<'_>, soup: &mut Soup) -> u32 
 
 fn base_texture(source: &Value) -> Option<TextureUse> {
     let paths = [BASE_COLOR_TEXTURE, DIFFUSE_TEXTURE];
-    paths.iter().find_map(|path| source.pointer(path).and_then(texture_use))
+    paths.iter().find_map(|path| source.pointer(path).and_then(TextureUse::of_info))
 }
 
 /// The diffuse factor belongs to the diffuse texture, and stands in where nothing else is said.
@@ -74,19 +71,26 @@ fn in_range(found: Option<TextureUse>, label: &str, soup: &mut Soup) -> Option<T
         return Some(found);
     }
     let text = format!(
-        "{label} names texture {}, but there are {n}: it is drawn in its factor alone; export the \
-         model again",
+        "{label} names texture {}, but there are {n}: it is drawn without; export the model \
+         again",
         found.texture
     );
     soup.notes.add("texture_reference_broken", text);
     None
 }
 
-fn note_what_is_left_out(source: &Value, soup: &mut Soup) {
-    let has_base = base_texture(source).is_some();
-    if texture_info::count(source) > usize::from(has_base) {
-        let text = "pictures show base colours: normal, metallic-roughness, occlusion, emissive \
-                    and other textures are carried, not evaluated";
+fn note_what_is_left_out(material: &Material, label: &str, soup: &mut Soup) {
+    let Some(source) = &material.source else { return };
+    let glow = material.emission().and_then(|light| light.texture);
+    if in_range(glow, label, soup).is_some() && material.glows_apart(&soup.textures) {
+        let text = "an emissive texture has other coordinates than the base texture: pictures show the mean of its \
+                    colours";
+        soup.notes.add("emissive_texture_averaged", text);
+    }
+    let n_shown = usize::from(base_texture(source).is_some()) + usize::from(glow.is_some());
+    if texture_info::count(source) > n_shown {
+        let text = "pictures show base and emissive colours: normal, metallic-roughness, occlusion and other \
+                    textures are carried, not evaluated";
         soup.notes.add("textures_not_evaluated", text);
     }
 }

@@ -17,7 +17,7 @@ use super::{
     Document, Soup,
     container::{PACK_REMEDY, decode},
 };
-use crate::mesh::{Image, Texture, TextureUse, Wrap};
+use crate::mesh::{Image, Texture, Wrap};
 
 /// The schema's mark of a texture without a source.
 const NO_SOURCE: usize = u32::MAX as usize;
@@ -159,73 +159,4 @@ fn sampling(sampler: &Sampler) -> ([Wrap; 2], [Option<u32>; 2]) {
 pub(super) fn label(what: &str, index: usize, name: &str) -> String {
     let shown: String = name.chars().take(64).collect();
     if shown.is_empty() { format!("{what} {index}") } else { format!("{what} {index} '{shown}'") }
-}
-
-/// What a textureInfo says, KHR_texture_transform included; `None` without a texture.
-pub(super) fn texture_use(info: &Value) -> Option<TextureUse> {
-    let id = |value: &Value| value.as_u64().and_then(|id| u32::try_from(id).ok());
-    let texture = id(info.get("index")?)?;
-    let tex_coord = info.get("texCoord").and_then(id).unwrap_or(0);
-    let Some(transform) = info.get("extensions").and_then(|e| e.get("KHR_texture_transform"))
-    else {
-        return Some(TextureUse { texture, tex_coord, transform: TextureUse::IDENTITY });
-    };
-    let tex_coord = transform.get("texCoord").and_then(id).unwrap_or(tex_coord);
-    Some(TextureUse { texture, tex_coord, transform: affine(transform) })
-}
-
-/// Translation × rotation × scale. The rotation is counter-clockwise where v points down, as
-/// programs do it; the listing in the extension's text has the other sign
-/// (github.com/KhronosGroup/glTF/issues/1563).
-fn affine(transform: &Value) -> [[f32; 3]; 2] {
-    let number = |value: Option<&Value>, default| value.and_then(Value::as_f64).unwrap_or(default);
-    let pair = |key: &str, default| {
-        [0, 1].map(|i| number(transform.get(key).and_then(|pair| pair.get(i)), default))
-    };
-    let ([x, y], [sx, sy]) = (pair("offset", 0.0), pair("scale", 1.0));
-    let (sin, cos) = libm::sincos(number(transform.get("rotation"), 0.0));
-    let rows = [[cos * sx, sin * sy, x], [-sin * sx, cos * sy, y]];
-    let rows = rows.map(|row| row.map(|value| value as f32 + 0.0));
-    if rows.as_flattened().iter().all(|v| v.is_finite()) { rows } else { TextureUse::IDENTITY }
-}
-
-#[cfg(test)]
-mod tests {
-    use serde_json::json;
-
-    use super::*;
-
-    #[test]
-    fn transforms_scale_then_turn_then_shift() {
-        let quarter = std::f64::consts::FRAC_PI_2;
-        for (transform, expected) in [
-            (json!({}), TextureUse::IDENTITY),
-            (json!({ "offset": [0.5, -1], "scale": [2, 3] }), [[2., 0., 0.5], [0., 3., -1.]]),
-            (json!({ "rotation": quarter }), [[0., 1., 0.], [-1., 0., 0.]]),
-            (
-                json!({ "rotation": quarter, "scale": [2, 3], "offset": [4, 5] }),
-                [[0., 3., 4.], [-2., 0., 5.]],
-            ),
-            (json!({ "scale": [1e300, 1] }), TextureUse::IDENTITY),
-        ] {
-            let found = affine(&transform);
-            let pairs = found.as_flattened().iter().zip(expected.as_flattened());
-            assert!(pairs.clone().all(|(a, b)| (a - b).abs() < 1e-6), "{transform}: {found:?}");
-        }
-    }
-
-    #[test]
-    fn the_transform_may_name_another_set() {
-        let info =
-            |extensions: Value| json!({ "index": 3, "texCoord": 1, "extensions": extensions });
-        for (extensions, expected) in [
-            (json!({}), 1),
-            (json!({ "KHR_texture_transform": {} }), 1),
-            (json!({ "KHR_texture_transform": { "texCoord": 2 } }), 2),
-        ] {
-            let found = texture_use(&info(extensions)).unwrap();
-            assert_eq!((found.texture, found.tex_coord), (3, expected));
-        }
-        assert_eq!(texture_use(&json!({ "index": -1 })), None);
-    }
 }

@@ -126,6 +126,15 @@ fn broken_references_count_as_absent() {
         "texture 0 names image 7, but there are 2",
     );
     assert_eq!(mesh.textures[0].image, None);
+    let mesh = check_broken(
+        |json| {
+            json["materials"][0]["emissiveFactor"] = json!([1, 1, 1]);
+            json["materials"][0]["emissiveTexture"] = json!({ "index": 7 });
+        },
+        code,
+        "material 0 names texture 7, but there are 2",
+    );
+    assert!(mesh.glow_of(&mesh.materials[0]).is_some_and(|glow| glow.texture.is_none()));
     check_broken(
         |json| json["textures"][0]["sampler"] = 7.into(),
         code,
@@ -211,6 +220,40 @@ fn specular_glossiness_gives_base_colours() {
         let expected: Vec<_> =
             others.into_iter().chain(["specular_glossiness_not_evaluated"]).collect();
         assert_eq!(codes, expected);
+        check_trip(&mesh);
+    }
+}
+
+/// What is given off: factor, strength and texture are read, the image is decoded, and what pictures do not show as it
+/// is gets a note.
+#[test]
+fn emissive_colours_are_read() {
+    let shifted = json!({ "KHR_texture_transform": { "offset": [0.5, 0] } });
+    let strong = json!({ "KHR_materials_emissive_strength": { "emissiveStrength": 3 } });
+    let unlit = json!({ "KHR_materials_unlit": {} });
+    for (texture, extensions, light, codes) in [
+        (json!({ "index": 1 }), strong, Some((0.75, Some(1))), &[][..]),
+        (Value::Null, json!({}), Some((0.25, None)), &[]),
+        (json!({ "index": 1 }), unlit, None, &["textures_not_evaluated"]),
+        (
+            json!({ "index": 1, "extensions": shifted }),
+            json!({}),
+            Some((0.25, Some(1))),
+            &["emissive_texture_averaged"],
+        ),
+    ] {
+        let bytes = textured_glb(&[png(), png()], |json| {
+            json["materials"][0]["emissiveFactor"] = json!([0.25, 0, 1]);
+            json["materials"][0]["emissiveTexture"] = texture;
+            json["materials"][0]["extensions"] = extensions;
+        });
+        let Ingest { mesh, report, .. } = load("a.glb", &bytes).unwrap();
+        let found = mesh.materials[0].emission();
+        let red = found.map(|found| (found.factor[0], found.texture.map(|at| at.texture)));
+        assert_eq!(red, light);
+        let is_shown = light.is_some_and(|(_, texture)| texture == Some(1));
+        assert_eq!(mesh.images[1].pixels.is_some(), is_shown);
+        assert_eq!(report.notes.iter().map(|n| n.code).collect::<Vec<_>>(), codes);
         check_trip(&mesh);
     }
 }

@@ -153,11 +153,14 @@ pub(super) struct Kernels {
     pub(super) work: wgpu::BindGroupLayout,
     /// Group 2: the stacks that lists are built from.
     pub(super) stacks: wgpu::BindGroupLayout,
+    /// Whether a texture gives something off (`GLOWS` in common.wgsl).
+    glows: bool,
     pipelines: [Option<wgpu::ComputePipeline>; KERNELS.len()],
 }
 
 impl Kernels {
-    pub(super) fn new(gpu: &Gpu) -> Self {
+    /// For textures of which some give something off, or none do.
+    pub(super) fn new(gpu: &Gpu, glows: bool) -> Self {
         Self {
             lists_read: layout(gpu, "lists, read", &[READ_FOUR, READ_FOUR, READ_ONE, READ]),
             lists_write: layout(
@@ -167,6 +170,7 @@ impl Kernels {
             ),
             work: layout(gpu, "work", &[READ_INPUT, WRITE, READ_TEXELS]),
             stacks: layout(gpu, "stacks", &[WRITE, WRITE]),
+            glows,
             pipelines: Default::default(),
         }
     }
@@ -225,7 +229,10 @@ impl Kernels {
             layout: Some(&layout),
             module: &module,
             entry_point: Some(entry),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            compilation_options: wgpu::PipelineCompilationOptions {
+                constants: &[("GLOWS", f64::from(u8::from(self.glows)))],
+                ..wgpu::PipelineCompilationOptions::default()
+            },
             cache: None,
         });
         match pollster::block_on(scope.pop()) {

@@ -79,7 +79,7 @@ impl Device {
         reference: Reference,
         lane_bits: u32,
     ) -> Result<Self, RenderError> {
-        let mut kernels = Kernels::new(&gpu);
+        let mut kernels = Kernels::new(&gpu, scene.texels.has_glow());
         let mut work = Work::new(&gpu, &kernels, scene.texels.words())?;
         let n_pool = (scene.n_pixels() / 32) as u32;
         let builder = Builder {

@@ -6,10 +6,12 @@
 //!   luminance plane with 16 fraction bits, and how many words further on its texture is described (0: it has
 //!   none);
 //! - a texture on a triangle is six words: three planes with 16 fraction bits, with the first of them the level's
-//!   place and with the second log2 of its width and height; then `from`, `to` and `range` of [`Painted`], and
-//!   its holes (0: it has none);
+//!   place, with the second log2 of its width and height, with the third the place of what it gives off (0: nothing);
+//!   then `from`, `to` and `range` of [`Painted`], and its holes (0: it has none);
 //! - the ids of the triangles that go are padded with `NIL` to whole words;
 //! - an item is two words: see `Item` in item.wgsl.
+
+use std::num::NonZeroU32;
 
 use super::super::{
     lattice::{DEPTH_BITS, PixelRect, ScreenPoint, Setup},
@@ -223,7 +225,8 @@ impl Packer {
 
 /// A texture on a triangle as the kernels read it.
 pub(super) fn paint_words(paint: &Painted) -> [Word; PAINT_WORDS] {
-    let tags = [paint.at, paint.bits[0] | paint.bits[1] << 8, 0];
+    let glow_at = paint.glow_at.map_or(0, NonZeroU32::get);
+    let tags = [paint.at, paint.bits[0] | paint.bits[1] << 8, glow_at];
     let plane = |k: usize| {
         let p = &paint.planes[k];
         [p.at_origin as u32, p.dx as u32, p.dy as u32, tags[k]]

@@ -139,6 +139,11 @@ fn device_and_twin_agree_under_flat_shading() {
 }
 
 #[test]
+fn device_and_twin_agree_on_what_glows() {
+    check_against_twin(LOOKS[6], 12, &[1, 7, 64], 3);
+}
+
+#[test]
 fn device_and_twin_agree_under_smooth_shading() {
     check_against_twin(LOOKS[1], 12, &[1, 7, 64, 300], 3);
 }

@@ -17,6 +17,8 @@ const CUT_OFF: u32 = 0x80000000u;
 const INPUT_WIDTH_BITS: u32 = 10u;
 // log2 of the texels' width.
 const TEXELS_WIDTH_BITS: u32 = 12u;
+// Whether a texture gives something off: where none does, nobody looks.
+override GLOWS: bool = false;
 
 struct Params {
     first_item: u32,
@@ -106,13 +108,21 @@ fn covers(t: Triangle, i: i32, j: i32) -> bool {
 }
 
 // A luminance at a pixel of the triangle at `at`, seen through the texture that is described `further` words
-// on (0: it has none). See paint.rs.
+// on (0: it has none), with what it gives off. See paint.rs.
 fn painted(at: u32, further: u32, lum: u32, i: i32, j: i32) -> u32 {
     if further == 0u {
         return lum;
     }
-    let seen = look_up(at, further, word(at + further).w, i, j);
-    return (lum * seen * 257u + 32768u) >> 16u;
+    let place = place_on(at, further, i, j);
+    let seen = (lum * look_up(word(at + further).w, place) * 257u + 32768u) >> 16u;
+    if !GLOWS {
+        return seen;
+    }
+    let glow_at = word(at + further + 2u).w;
+    if glow_at == 0u {
+        return seen;
+    }
+    return min(seen + look_up(glow_at, place), 255u);
 }
 
 // Whether the texture has a hole there.
@@ -125,7 +135,7 @@ fn is_hole(at: u32, further: u32, i: i32, j: i32) -> bool {
         return false;
     }
     let least = select(holes.y, dither(u32(i), u32(j)), holes.y == 0u);
-    return look_up(at, further, holes.x, i, j) < least;
+    return look_up(holes.x, place_on(at, further, i, j)) < least;
 }
 
 fn dither(i: u32, j: u32) -> u32 {
@@ -142,8 +152,13 @@ fn shows(t: Triangle, at: u32, i: i32, j: i32) -> bool {
     return !is_hole(at, word(at + 2u).w, i, j);
 }
 
-// What the texture, of whose level the first word is given, holds there.
-fn look_up(at: u32, further: u32, first: u32, i: i32, j: i32) -> u32 {
+// Where a pixel lies on a texture: in 64ths of a texel of its level, of which log2 of width and height.
+struct Place {
+    at: vec2<i32>,
+    bits: vec2<u32>,
+}
+
+fn place_on(at: u32, further: u32, i: i32, j: i32) -> Place {
     let near_plane = word(at + further);
     let one_plane = word(at + further + 1u);
     let near = u32(at_pixel(bitcast<vec3<i32>>(near_plane.xyz), i, j) >> 16u);
@@ -157,12 +172,16 @@ fn look_up(at: u32, further: u32, first: u32, i: i32, j: i32) -> u32 {
     let high = bitcast<vec4<i32>>(word(at + further + 5u));
     let by = share_one * ends.zw + share_two * rest.xy;
     let place = clamp(ends.xy + ((by + (1 << 14u)) >> vec2<u32>(15u)), rest.zw, high.xy);
-    let bits = vec2<u32>(one_plane.w & 0xffu, one_plane.w >> 8u);
-    let whole = vec2<u32>(place >> vec2<u32>(6u)) & ((vec2<u32>(1u) << bits) - 1u);
-    let texel = first + (whole.y << bits.x) + whole.x;
+    return Place(place, vec2<u32>(one_plane.w & 0xffu, one_plane.w >> 8u));
+}
+
+// What the level that begins at a word holds there.
+fn look_up(first: u32, place: Place) -> u32 {
+    let whole = vec2<u32>(place.at >> vec2<u32>(6u)) & ((vec2<u32>(1u) << place.bits) - 1u);
+    let texel = first + (whole.y << place.bits.x) + whole.x;
     let column = texel & ((1u << TEXELS_WIDTH_BITS) - 1u);
     let four = textureLoad(texels, vec2<u32>(column, texel >> TEXELS_WIDTH_BITS)).x;
-    let share = vec2<u32>(place & vec2<i32>(63));
+    let share = vec2<u32>(place.at & vec2<i32>(63));
     let left = vec2<u32>(four & 0xffu, (four >> 16u) & 0xffu);
     let right = vec2<u32>((four >> 8u) & 0xffu, four >> 24u);
     let across = left * (64u - share.x) + right * share.x;
