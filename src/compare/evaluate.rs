@@ -16,7 +16,7 @@ use super::raster::{Appearance, Drawable, Look, Shading, pictures};
 use crate::{
     mesh::Mesh,
     metric::{
-        bounding_sphere,
+        Metric, bounding_sphere,
         image::{d2_percent, mean_square_difference},
         surface::{SurfaceDistance, SurfaceParams, try_surface_distance},
     },
@@ -57,16 +57,19 @@ pub struct Comparison {
     pub triangles_original: usize,
     /// Triangles of the simplified mesh.
     pub triangles_simplified: usize,
-    /// RMS luminance difference over all pixels of all views, percent of full scale.
+    /// RMS difference over all pixels (and channels) of all views, percent of full scale.
     pub d2_percent: f64,
     /// The same on a 0 to 255 scale.
     pub d2_255: f64,
-    /// RMS luminance difference of each view, percent of full scale.
+    /// RMS difference of each view, percent of full scale.
     pub per_view: Vec<f64>,
     /// Flat or smooth.
     pub shading: Shading,
     /// White or coloured.
     pub appearance: Appearance,
+    /// What differences were taken of.
+    #[serde(default)]
+    pub metric: Metric,
     /// Pixels along each side.
     pub image_size: usize,
     /// Samples along each side of a pixel.
@@ -108,11 +111,11 @@ pub struct Reference<'m> {
     original: &'m Mesh,
     params: Params,
     views: Vec<View>,
-    pictures: Vec<Vec<[f32; 1]>>,
+    pictures: Vec<Vec<f32>>,
 }
 
 impl<'m> Reference<'m> {
-    /// Draws the original in all 24 views; the pictures take `24 · image_size² · 4` bytes.
+    /// Draws the original in all 24 views; the pictures take `24 · image_size² · 4` bytes for each channel.
     pub fn new(original: &'m Mesh, params: &Params) -> Self {
         let Ok(reference) = Self::try_new(original, params, NEVER_ENDS);
         reference
@@ -131,9 +134,7 @@ impl<'m> Reference<'m> {
                 ..view_params(params.fov_degrees, params.light_degrees)
             },
         );
-        let drawable = Drawable::luminance(original, &params.look);
-        let half = |share: f64| tick(Part::Pictures, share / 2.0);
-        let pictures = pictures(&drawable, &views, &params.look, &half)?;
+        let pictures = drawn(original, &views, (&params.look, false), tick)?;
         Ok(Self { original, params: params.clone(), views, pictures })
     }
 
@@ -150,15 +151,9 @@ impl<'m> Reference<'m> {
         tick: Tick<'_, E>,
     ) -> Result<Comparison, E> {
         let look = &self.params.look;
-        let mut drawable = Drawable::luminance(simplified, look);
-        if self.params.stored_normals {
-            drawable = drawable.with_stored_normals();
-        }
-        let half = |share: f64| tick(Part::Pictures, share / 2.0);
-        let drawn = pictures(&drawable, &self.views, look, &half)?;
-        let mean_squares: Vec<f64> = (self.pictures.iter().zip(&drawn))
-            .map(|(a, b)| mean_square_difference(a.as_flattened(), b.as_flattened()))
-            .collect();
+        let drawn = drawn(simplified, &self.views, (look, self.params.stored_normals), tick)?;
+        let mean_squares: Vec<f64> =
+            self.pictures.iter().zip(&drawn).map(|(a, b)| mean_square_difference(a, b)).collect();
         let d2 = d2_percent(&mean_squares);
         let of_distance = |share: f64| tick(Part::Distance, share);
         let metro = match &self.params.surface {
@@ -175,11 +170,43 @@ impl<'m> Reference<'m> {
             per_view: mean_squares.iter().map(|m| d2_percent(&[*m])).collect(),
             shading: look.shading,
             appearance: look.appearance,
+            metric: look.metric,
             image_size: look.image_size,
             supersampling: look.supersampling,
             metro,
         })
     }
+}
+
+/// Pictures of a mesh, pixel after pixel and channel after channel of each: half of [`Part::Pictures`].
+fn drawn<E: Send>(
+    mesh: &Mesh,
+    views: &[View],
+    (look, stored_normals): (&Look, bool),
+    tick: Tick<'_, E>,
+) -> Result<Vec<Vec<f32>>, E> {
+    match look.metric {
+        Metric::Luminance => {
+            drawn_channels(Drawable::luminance(mesh, look), views, (look, stored_normals), tick)
+        }
+        Metric::Rgb => {
+            drawn_channels(Drawable::channels(mesh, look), views, (look, stored_normals), tick)
+        }
+    }
+}
+
+fn drawn_channels<const N: usize, E: Send>(
+    mut drawable: Drawable<'_, N>,
+    views: &[View],
+    (look, stored_normals): (&Look, bool),
+    tick: Tick<'_, E>,
+) -> Result<Vec<Vec<f32>>, E> {
+    if stored_normals {
+        drawable = drawable.with_stored_normals();
+    }
+    let half = |share: f64| tick(Part::Pictures, share / 2.0);
+    let pictures = pictures(&drawable, views, look, &half)?;
+    Ok(pictures.into_iter().map(Vec::into_flattened).collect())
 }
 
 /// Compares one mesh with its original.
@@ -210,9 +237,10 @@ pub fn report_text(comparison: &Comparison) -> String {
     let (shading, appearance) = (lower(c.shading), lower(c.appearance));
     let _ = writeln!(
         text,
-        "           {size} x {size} pixels, {n} x {n} samples each, {shading} shading, {appearance}",
+        "           {size} x {size} pixels, {n} x {n} samples each, {shading} shading, {appearance}{channels}",
         size = c.image_size,
         n = c.supersampling,
+        channels = if c.metric == Metric::Rgb { ", by red, green and blue" } else { "" },
     );
     if let Some(m) = &c.metro {
         let _ = writeln!(

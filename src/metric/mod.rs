@@ -5,6 +5,9 @@
 
 mod appearance;
 mod bvh;
+mod channels;
+#[cfg(test)]
+mod channels_tests;
 mod drawn;
 pub mod image;
 mod objective;
@@ -18,6 +21,7 @@ mod template;
 mod template_tests;
 
 pub use appearance::is_white;
+pub use channels::{Metric, is_grey};
 pub use objective::{
     Objective, Pictures, ViewSet, bounding_sphere, d2_percent, energy_of_d2, pictures_and_unseen,
     reference_pictures, scene_as_drawn, scene_of_edit_mesh, scene_with_normals, stored_normal,

@@ -18,7 +18,7 @@ use crate::{
     },
 };
 
-use super::{appearance::Appearance, palette::Palette};
+use super::{appearance::Appearance, channels::Metric, palette::Palette};
 
 /// Pictures of the model being simplified, beside the original's.
 pub struct Objective {
@@ -64,8 +64,23 @@ impl ViewSet {
 impl Pictures {
     /// Of a mesh, and of what is made of it.
     pub fn of(mesh: &Mesh, params: RenderParams, views: Vec<View>) -> Self {
-        let palette = Arc::new(Palette::of(mesh, params.image_size));
-        Self { params, views, palette }
+        Self::by_metric(mesh, params, views, Metric::Luminance)
+    }
+
+    /// The same by another metric: where colours count, each camera takes a picture of each channel.
+    pub fn by_metric(
+        mesh: &Mesh,
+        mut params: RenderParams,
+        cameras: Vec<View>,
+        metric: Metric,
+    ) -> Self {
+        let palette = Arc::new(Palette::of(mesh, params.image_size, metric));
+        // A camera's pictures follow one another, so those of the interior still come first.
+        params.interior_views *= metric.n_channels();
+        let views = cameras.into_iter().flat_map(|camera| {
+            (0..metric.n_channels() as u8).map(move |channel| camera.in_channel(channel))
+        });
+        Self { params, views: views.collect(), palette }
     }
 
     /// The same cameras, all turned about the centre of the model by the same rotation: number

@@ -1,4 +1,5 @@
-//! The textures of a model as the pictures need them: luminances, no finer than pictures show.
+//! The textures of a model as the pictures need them: luminances, or a texture each of red, green and blue, no finer
+//! than pictures show.
 //!
 //! Colours are taken as they are encoded, without a transfer curve, as `image.rs` takes all others: base colour
 //! texture times factor. Where a material is masked, alpha below its threshold leaves holes; where it is blended, as
@@ -13,7 +14,7 @@ use crate::{
     render::{Alpha, Sieve, Texels},
 };
 
-use super::image::REC709;
+use super::channels::Metric;
 
 /// Texels along a side of a texture, at most, for each pixel along a side of a picture: a model that fills the
 /// picture then shows a texel in each of its pixels even where a quarter of the texture covers it.
@@ -25,6 +26,8 @@ pub struct Palette {
     texels: Arc<Texels>,
     /// By material.
     paintings: Vec<Option<Painting>>,
+    /// By which it is seen.
+    metric: Metric,
 }
 
 /// What the triangles of a material are painted with.
@@ -57,8 +60,8 @@ struct Recipe<'m> {
 }
 
 impl Palette {
-    /// Of a mesh that is shown in pictures of so many pixels a side.
-    pub fn of(mesh: &Mesh, image_size: u32) -> Self {
+    /// Of a mesh that is shown in pictures of so many pixels a side, by a metric.
+    pub fn of(mesh: &Mesh, image_size: u32, metric: Metric) -> Self {
         let mut recipes: Vec<Recipe<'_>> = Vec::new();
         let mut paint = |m: &Material| {
             let recipe = Recipe::of(mesh, m)?;
@@ -69,19 +72,27 @@ impl Palette {
                 recipes.push(recipe);
             }
             Some(Painting {
-                map: map as u32,
+                map: (map * metric.n_channels()) as u32,
                 tex_coord: at.map(|at| at.tex_coord),
                 transform: at.map_or(TextureUse::IDENTITY, |at| scaled(&at, recipe.wrap)),
             })
         };
         let paintings = mesh.materials.iter().map(&mut paint).collect();
         let most = TEXELS_PER_PIXEL * image_size.next_power_of_two();
-        let drawn: Vec<_> = recipes.par_iter().map(|r| r.drawn(most)).collect();
+        let draw = |r: &Recipe<'_>| metric.weights().iter().map(|w| r.drawn(most, w)).collect();
+        let drawn: Vec<Vec<_>> = recipes.par_iter().map(draw).collect();
         let mut texels = Texels::default();
-        for (recipe, (bits, luminances, alpha)) in recipes.iter().zip(drawn) {
-            texels.add(bits, luminances, recipe.wrap.map(|w| w == Wrap::Clamp), alpha);
+        for (recipe, channels) in recipes.iter().zip(drawn) {
+            for (bits, values, alpha) in channels {
+                texels.add(bits, values, recipe.wrap.map(|w| w == Wrap::Clamp), alpha);
+            }
         }
-        Self { texels: Arc::new(texels), paintings }
+        Self { texels: Arc::new(texels), paintings, metric }
+    }
+
+    /// What is seen of colours.
+    pub(super) fn metric(&self) -> Metric {
+        self.metric
     }
 
     /// The textures.
@@ -140,9 +151,10 @@ impl<'m> Recipe<'m> {
         texels.iter().any(|p| alpha(p) < least)
     }
 
-    /// Luminances and alphas, on sides that are powers of two and at most `most`, and the logarithms of these.
-    fn drawn(&self, most: u32) -> ([u32; 2], Vec<u8>, Option<Alpha>) {
-        let [r, g, b] = std::array::from_fn(|c| REC709[c] as f32 * self.factor[c]);
+    /// A channel, which has so much of red, green and blue, and alphas, on sides that are powers of two and at most
+    /// `most`, and the logarithms of these.
+    fn drawn(&self, most: u32, weights: &[f64; 3]) -> ([u32; 2], Vec<u8>, Option<Alpha>) {
+        let [r, g, b] = std::array::from_fn(|c| weights[c] as f32 * self.factor[c]);
         let (bits, luminances) = self.channel([r, g, b, 0.0], most);
         let alpha = self.sieve.map(|sieve| {
             let (_, values) = self.channel([0.0, 0.0, 0.0, self.factor[3]], most);

@@ -52,9 +52,11 @@ pub struct Look {
     pub coloured: bool,
     pub painted: bool,
     pub hides_back_faces: bool,
+    /// The views show different channels.
+    pub by_channel: bool,
 }
 
-pub const LOOKS: [Look; 6] = [
+pub const LOOKS: [Look; 7] = [
     Look {
         image_size: 64,
         n_views: 4,
@@ -64,6 +66,7 @@ pub const LOOKS: [Look; 6] = [
         coloured: false,
         painted: false,
         hides_back_faces: false,
+        by_channel: false,
     },
     Look {
         image_size: 128,
@@ -74,6 +77,7 @@ pub const LOOKS: [Look; 6] = [
         coloured: true,
         painted: false,
         hides_back_faces: false,
+        by_channel: false,
     },
     Look {
         image_size: 104,
@@ -84,6 +88,7 @@ pub const LOOKS: [Look; 6] = [
         coloured: true,
         painted: false,
         hides_back_faces: false,
+        by_channel: false,
     },
     Look {
         image_size: 256,
@@ -94,6 +99,7 @@ pub const LOOKS: [Look; 6] = [
         coloured: false,
         painted: false,
         hides_back_faces: false,
+        by_channel: false,
     },
     Look {
         image_size: 128,
@@ -104,6 +110,7 @@ pub const LOOKS: [Look; 6] = [
         coloured: true,
         painted: true,
         hides_back_faces: true,
+        by_channel: false,
     },
     Look {
         image_size: 64,
@@ -114,6 +121,18 @@ pub const LOOKS: [Look; 6] = [
         coloured: true,
         painted: true,
         hides_back_faces: true,
+        by_channel: false,
+    },
+    Look {
+        image_size: 64,
+        n_views: 6,
+        shading: Shading::Smooth,
+        projection: Projection::Perspective,
+        interior_views: 3,
+        coloured: true,
+        painted: true,
+        hides_back_faces: false,
+        by_channel: true,
     },
 ];
 
@@ -134,6 +153,8 @@ pub fn scene_of(positions: Vec<DVec3>, faces: Vec<[u32; 3]>, look: Look) -> Scen
     let mut views = cameras(&BoundingSphere::of(positions.iter().copied()), &view_params);
     // Not every view counts as much.
     views.iter_mut().zip([3, 1, 0]).for_each(|(view, weight)| view.weight = weight);
+    let n_channels = if look.by_channel { 3 } else { 1 };
+    views.iter_mut().zip((0..n_channels).cycle()).for_each(|(view, k)| view.channel = k);
     let params = RenderParams {
         image_size: look.image_size,
         shading: look.shading,
@@ -143,28 +164,38 @@ pub fn scene_of(positions: Vec<DVec3>, faces: Vec<[u32; 3]>, look: Look) -> Scen
         hides_back_faces: look.hides_back_faces,
     };
     let albedo = |f: usize| if look.coloured { [(f * 7 % 256) as u8, 255, 90] } else { [255; 3] };
+    let channels = |albedo: u8| [albedo, 255 - albedo, albedo / 2];
     let surface = |f: usize, corners: [u32; 3]| Surface {
         is_unlit: look.painted && f.is_multiple_of(7),
         is_single_sided: !f.is_multiple_of(3),
-        albedo: albedo(f),
-        paint: look.painted.then(|| paint(f, corners.map(|v| positions[v as usize]))),
+        albedo: albedo(f).map(channels),
+        paint: look.painted.then(|| {
+            let paint = paint(f, corners.map(|v| positions[v as usize]));
+            Paint { map: paint.map * u32::from(n_channels), ..paint }
+        }),
     };
     let faces = faces.into_iter().enumerate();
     let faces =
         faces.map(|(f, v)| Some(SceneFace { vertices: v, surface: surface(f, v) })).collect();
-    Scene::new(params, views, Arc::new(texels()), positions, faces)
+    Scene::new(params, views, Arc::new(texels(u32::from(n_channels))), positions, faces)
 }
 
 /// Four textures: a repeated one, one that is not square and held at its edges along one axis, one with holes that a
-/// threshold makes, and one that is dithered.
-fn texels() -> Texels {
+/// threshold makes, and one that is dithered; each of so many channels.
+fn texels(n_channels: u32) -> Texels {
     let noise = |k: u32| (k.wrapping_mul(2_654_435_761) >> 24) as u8;
     let mut texels = Texels::default();
-    texels.add([6, 6], (0..64 * 64).map(noise).collect(), [false; 2], None);
-    texels.add([5, 3], (0..32 * 8).map(noise).collect(), [true, false], None);
+    let mut add = |bits: [u32; 2], is_clamped, alpha: Option<Alpha>| {
+        for from in (0..n_channels).map(|channel| 1000 * channel) {
+            let values = (from..from + (1 << (bits[0] + bits[1]))).map(noise).collect();
+            texels.add(bits, values, is_clamped, alpha.clone());
+        }
+    };
+    add([6, 6], [false; 2], None);
+    add([5, 3], [true, false], None);
     for sieve in [Sieve::Below(100), Sieve::Dithered] {
         let alpha = Alpha { values: (7..16 * 16 + 7).map(noise).collect(), sieve };
-        texels.add([4, 4], (0..16 * 16).map(noise).collect(), [false; 2], Some(alpha));
+        add([4, 4], [false; 2], Some(alpha));
     }
     texels
 }

@@ -7,6 +7,8 @@ use crate::{
     metric::is_white,
 };
 
+use super::params::metric;
+
 /// How the original and its levels are drawn: as the run-time pictures are.
 pub(super) fn look(spec: &Spec, original: &Mesh) -> Look {
     let render = &spec.render;
@@ -19,6 +21,7 @@ pub(super) fn look(spec: &Spec, original: &Mesh) -> Look {
         ambient: render.ambient,
         background: render.background,
         hides_back_faces: render.hide_back_faces,
+        metric: metric(render.metric),
         ..Look::default()
     }
 }
