@@ -52,8 +52,13 @@ pub(crate) struct CompareArgs {
     /// In smooth shading, draw the simplified mesh with the normals of its file.
     #[arg(long)]
     stored_normals: bool,
-    /// By what pictures are compared: luminance, or red, green and blue (with --colours).
-    #[arg(long, default_value = "luminance", value_parser = word::<Metric>(&["luminance", "rgb"]))]
+    /// By what pictures are compared: luminance; red, green and blue (with --colours); or luminance that counts less
+    /// where the original is busy.
+    #[arg(
+        long,
+        default_value = "luminance",
+        value_parser = word::<Metric>(&["luminance", "rgb", "perceptual"])
+    )]
     metric: Metric,
     /// Leave the distance between the surfaces out.
     #[arg(long)]

@@ -49,9 +49,13 @@ pub(crate) struct PictureArgs {
     /// How much each view counts, 0 to 16, one weight a view.
     #[arg(long, value_delimiter = ',', value_name = "W")]
     view_weights: Vec<u32>,
-    /// By what pictures are compared: luminance, or red, green and blue (three times the work; colours of equal
-    /// luminance are told apart).
-    #[arg(long, default_value = "luminance", value_parser = word::<Metric>(&["luminance", "rgb"]))]
+    /// By what pictures are compared: luminance; red, green and blue (three times the work; colours of equal
+    /// luminance are told apart); or luminance that counts less where the original is busy.
+    #[arg(
+        long,
+        default_value = "luminance",
+        value_parser = word::<Metric>(&["luminance", "rgb", "perceptual"])
+    )]
     metric: Metric,
 }
 

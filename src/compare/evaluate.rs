@@ -17,10 +17,14 @@ use crate::{
     mesh::Mesh,
     metric::{
         Metric, bounding_sphere,
-        image::{d2_percent, mean_square_difference},
+        image::{d2_percent, mean_square_difference, mean_weighed_difference},
+        masking,
         surface::{SurfaceDistance, SurfaceParams, try_surface_distance},
     },
-    render::view::{Projection, View, ViewParams, cameras, directions},
+    render::{
+        FULL_WEIGHT,
+        view::{Projection, View, ViewParams, cameras, directions},
+    },
 };
 
 /// What to compare, and how closely.
@@ -57,7 +61,8 @@ pub struct Comparison {
     pub triangles_original: usize,
     /// Triangles of the simplified mesh.
     pub triangles_simplified: usize,
-    /// RMS difference over all pixels (and channels) of all views, percent of full scale.
+    /// RMS difference over all pixels (and channels) of all views, as far as the metric sees it, percent of full
+    /// scale.
     pub d2_percent: f64,
     /// The same on a 0 to 255 scale.
     pub d2_255: f64,
@@ -112,6 +117,8 @@ pub struct Reference<'m> {
     params: Params,
     views: Vec<View>,
     pictures: Vec<Vec<f32>>,
+    /// How much each pixel counts, where not all count the same.
+    weights: Vec<Vec<u8>>,
 }
 
 impl<'m> Reference<'m> {
@@ -135,7 +142,11 @@ impl<'m> Reference<'m> {
             },
         );
         let pictures = drawn(original, &views, (&params.look, false), tick)?;
-        Ok(Self { original, params: params.clone(), views, pictures })
+        let weights = match params.look.metric {
+            Metric::Luminance | Metric::Rgb => Vec::new(),
+            Metric::Perceptual => pictures.iter().map(|p| weights(p, &params.look)).collect(),
+        };
+        Ok(Self { original, params: params.clone(), views, pictures, weights })
     }
 
     /// Compares one mesh with the original.
@@ -152,8 +163,13 @@ impl<'m> Reference<'m> {
     ) -> Result<Comparison, E> {
         let look = &self.params.look;
         let drawn = drawn(simplified, &self.views, (look, self.params.stored_normals), tick)?;
+        let mean_square =
+            |(view, (a, b)): (usize, (&Vec<f32>, &Vec<f32>))| match self.weights.get(view) {
+                None => mean_square_difference(a, b),
+                Some(weights) => mean_weighed_difference(a, b, (weights, FULL_WEIGHT)),
+            };
         let mean_squares: Vec<f64> =
-            self.pictures.iter().zip(&drawn).map(|(a, b)| mean_square_difference(a, b)).collect();
+            self.pictures.iter().zip(&drawn).enumerate().map(mean_square).collect();
         let d2 = d2_percent(&mean_squares);
         let of_distance = |share: f64| tick(Part::Distance, share);
         let metro = match &self.params.surface {
@@ -186,13 +202,19 @@ fn drawn<E: Send>(
     tick: Tick<'_, E>,
 ) -> Result<Vec<Vec<f32>>, E> {
     match look.metric {
-        Metric::Luminance => {
+        Metric::Luminance | Metric::Perceptual => {
             drawn_channels(Drawable::luminance(mesh, look), views, (look, stored_normals), tick)
         }
         Metric::Rgb => {
             drawn_channels(Drawable::channels(mesh, look), views, (look, stored_normals), tick)
         }
     }
+}
+
+/// How much the pixels of a picture count.
+fn weights(picture: &[f32], look: &Look) -> Vec<u8> {
+    let bytes: Vec<u8> = picture.iter().map(|lum| (lum * 255.0 + 0.5) as u8).collect();
+    masking::weights(&bytes, look.image_size)
 }
 
 fn drawn_channels<const N: usize, E: Send>(
@@ -237,10 +259,14 @@ pub fn report_text(comparison: &Comparison) -> String {
     let (shading, appearance) = (lower(c.shading), lower(c.appearance));
     let _ = writeln!(
         text,
-        "           {size} x {size} pixels, {n} x {n} samples each, {shading} shading, {appearance}{channels}",
+        "           {size} x {size} pixels, {n} x {n} samples each, {shading} shading, {appearance}{by}",
         size = c.image_size,
         n = c.supersampling,
-        channels = if c.metric == Metric::Rgb { ", by red, green and blue" } else { "" },
+        by = match c.metric {
+            Metric::Luminance => "",
+            Metric::Rgb => ", by red, green and blue",
+            Metric::Perceptual => ", by visible luminance",
+        },
     );
     if let Some(m) = &c.metro {
         let _ = writeln!(

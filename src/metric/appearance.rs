@@ -130,7 +130,7 @@ impl Appearance {
         let material = self.materials.get(material).copied().unwrap_or([1.0; 3]);
         let byte = |c: usize| ((vertex[c] * material[c]).clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
         match self.palette.metric() {
-            Metric::Luminance => [byte(0); 3],
+            Metric::Luminance | Metric::Perceptual => [byte(0); 3],
             Metric::Rgb => [0, 1, 2].map(byte),
         }
     }

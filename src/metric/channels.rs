@@ -6,7 +6,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::mesh::{AttributeLayer, Image, Mesh, Semantic};
+use crate::{
+    mesh::{AttributeLayer, Image, Mesh, Semantic},
+    render::FULL_WEIGHT,
+};
 
 use super::{
     appearance::is_white,
@@ -22,6 +25,8 @@ pub enum Metric {
     Luminance,
     /// Squared differences of red, of green and of blue.
     Rgb,
+    /// Those of luminances, as far as they are visible (`masking.rs`).
+    Perceptual,
 }
 
 impl Metric {
@@ -30,10 +35,25 @@ impl Metric {
         self.weights().len()
     }
 
+    /// Bytes of the original's pictures for each pixel of a camera.
+    pub fn n_bytes(self) -> usize {
+        self.n_channels() + usize::from(self == Self::Perceptual)
+    }
+
+    /// How often a pixel of a camera counts at most, in all its channels: the energy divided by that and the pixels
+    /// is the square of d2.
+    pub fn full_weight(self) -> u64 {
+        match self {
+            Self::Luminance => 1,
+            Self::Rgb => self.n_channels() as u64,
+            Self::Perceptual => FULL_WEIGHT.into(),
+        }
+    }
+
     /// What each channel has of red, green and blue.
     pub(super) fn weights(self) -> &'static [[f64; 3]] {
         match self {
-            Self::Luminance => &[REC709],
+            Self::Luminance | Self::Perceptual => &[REC709],
             Self::Rgb => &[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
         }
     }
@@ -43,7 +63,7 @@ impl Metric {
     pub(super) fn channels(self, colour: &[f32]) -> [f32; 3] {
         let &[r, g, b, ..] = colour else { return [1.0; 3] };
         match self {
-            Self::Luminance => [image::luminance([r, g, b]); 3],
+            Self::Luminance | Self::Perceptual => [image::luminance([r, g, b]); 3],
             Self::Rgb => [r, g, b],
         }
     }

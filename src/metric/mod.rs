@@ -10,8 +10,10 @@ mod channels;
 mod channels_tests;
 mod drawn;
 pub mod image;
+pub mod masking;
 mod objective;
 mod palette;
+mod shown;
 mod slopes;
 #[cfg(test)]
 mod slopes_tests;

@@ -8,6 +8,7 @@
 use std::sync::Arc;
 
 use glam::{DQuat, DVec3};
+use rayon::prelude::*;
 
 use crate::{
     mesh::{AttributeLayer, Collapse, EditMesh, FaceId, Mesh, Semantic, VertexId},
@@ -18,7 +19,7 @@ use crate::{
     },
 };
 
-use super::{appearance::Appearance, channels::Metric, palette::Palette};
+use super::{appearance::Appearance, channels::Metric, masking, palette::Palette};
 
 /// Pictures of the model being simplified, beside the original's.
 pub struct Objective {
@@ -121,7 +122,11 @@ pub fn reference_pictures(original: &Mesh, pictures: &Pictures) -> Reference {
 
 /// Likewise; and how many triangles are in front in no pixel.
 pub fn pictures_and_unseen(mesh: &Mesh, pictures: &Pictures) -> (Reference, usize) {
-    let (reference, seen) = reference_and_seen(&scene_of(mesh, pictures, |_| true));
+    let (mut reference, seen) = reference_and_seen(&scene_of(mesh, pictures, |_| true));
+    if pictures.palette.metric() == Metric::Perceptual {
+        let weigh = |p: &Vec<u8>| masking::weights(p, pictures.params.image_size as usize);
+        reference.weights = reference.pictures.par_iter().map(weigh).collect();
+    }
     (reference, seen.iter().filter(|is_seen| !**is_seen).count())
 }
 
@@ -276,7 +281,7 @@ impl Objective {
         self.evaluations
     }
 
-    /// Sum of squared luminance differences over all pictures, each as often as its view counts, 0..=255
+    /// Sum of squared differences over all pictures, each as often as its view and its pixel count, 0..=255
     /// units.
     pub fn energy(&self) -> u64 {
         self.evaluator.energy()
@@ -284,7 +289,13 @@ impl Objective {
 
     /// The papers' d2 on the run-time views: percent of full scale.
     pub fn d2_percent(&self) -> f64 {
-        d2_percent(self.energy(), self.scene.n_counted_pixels())
+        d2_percent(self.energy(), self.n_counted_pixels())
+    }
+
+    /// Pixels in all pictures, as often as they count at most.
+    pub fn n_counted_pixels(&self) -> u64 {
+        let full_weight = self.reference.as_ref().map_or(1, Reference::full_weight);
+        self.scene.n_counted_pixels() * u64::from(full_weight)
     }
 
     /// The change of energy of each move.

@@ -54,20 +54,25 @@ pub struct Look {
     pub hides_back_faces: bool,
     /// The views show different channels.
     pub by_channel: bool,
+    /// Not every pixel counts the same.
+    pub is_weighed: bool,
 }
 
-pub const LOOKS: [Look; 7] = [
-    Look {
-        image_size: 64,
-        n_views: 4,
-        shading: Shading::Flat,
-        projection: Projection::Perspective,
-        interior_views: 0,
-        coloured: false,
-        painted: false,
-        hides_back_faces: false,
-        by_channel: false,
-    },
+const PLAIN: Look = Look {
+    image_size: 64,
+    n_views: 4,
+    shading: Shading::Flat,
+    projection: Projection::Perspective,
+    interior_views: 0,
+    coloured: false,
+    painted: false,
+    hides_back_faces: false,
+    by_channel: false,
+    is_weighed: false,
+};
+
+pub const LOOKS: [Look; 9] = [
+    PLAIN,
     Look {
         image_size: 128,
         n_views: 6,
@@ -78,6 +83,7 @@ pub const LOOKS: [Look; 7] = [
         painted: false,
         hides_back_faces: false,
         by_channel: false,
+        is_weighed: false,
     },
     Look {
         image_size: 104,
@@ -89,6 +95,7 @@ pub const LOOKS: [Look; 7] = [
         painted: false,
         hides_back_faces: false,
         by_channel: false,
+        is_weighed: false,
     },
     Look {
         image_size: 256,
@@ -100,6 +107,7 @@ pub const LOOKS: [Look; 7] = [
         painted: false,
         hides_back_faces: false,
         by_channel: false,
+        is_weighed: false,
     },
     Look {
         image_size: 128,
@@ -111,6 +119,7 @@ pub const LOOKS: [Look; 7] = [
         painted: true,
         hides_back_faces: true,
         by_channel: false,
+        is_weighed: false,
     },
     Look {
         image_size: 64,
@@ -122,6 +131,7 @@ pub const LOOKS: [Look; 7] = [
         painted: true,
         hides_back_faces: true,
         by_channel: false,
+        is_weighed: false,
     },
     Look {
         image_size: 64,
@@ -133,13 +143,38 @@ pub const LOOKS: [Look; 7] = [
         painted: true,
         hides_back_faces: false,
         by_channel: true,
+        is_weighed: false,
     },
+    Look {
+        image_size: 104,
+        n_views: 6,
+        shading: Shading::Flat,
+        projection: Projection::Perspective,
+        interior_views: 0,
+        coloured: false,
+        painted: true,
+        hides_back_faces: false,
+        by_channel: false,
+        is_weighed: true,
+    },
+    Look { is_weighed: true, ..PLAIN },
 ];
 
 /// The scene of a bumpy sphere.
 pub fn scene(n: usize, look: Look) -> Scene {
     let (positions, faces) = bumpy_sphere(n);
     scene_of(positions, faces, look)
+}
+
+/// Its pictures, and where pixels have weights, any.
+pub fn reference(scene: &Scene, look: Look) -> Reference {
+    let mut reference = raster::reference(scene);
+    if look.is_weighed {
+        let weight = |k: u32| (k.wrapping_mul(2_654_435_761) >> 28) as u8 + 1;
+        let weigh = |p: &Vec<u8>| (0..p.len() as u32).map(weight).collect();
+        reference.weights = reference.pictures.iter().map(weigh).collect();
+    }
+    reference
 }
 
 /// The scene of any triangles.
@@ -326,7 +361,7 @@ fn check(make: &dyn Fn(&Scene, Reference) -> Box<dyn Evaluator>, look: Look, n_e
     runner
         .run(&picks, |picks| {
             let mut scene = scene(12, look);
-            let reference = raster::reference(&scene);
+            let reference = reference(&scene, look);
             let mut evaluator = make(&scene, reference.clone());
             prop_assert_eq!(evaluator.energy(), 0);
             for (step, (pick, offset)) in picks.into_iter().enumerate() {
@@ -421,7 +456,7 @@ fn ten_thousand_edits_equal_a_full_re_render() {
 #[test]
 fn fragment_lists_hold_what_a_re_render_puts_there() {
     let scene = scene(6, LOOKS[0]);
-    let mut lists = super::fragments::FragmentLists::new(64, 128, &[0; 64 * 64]);
+    let mut lists = super::fragments::FragmentLists::new(64, 128, (&[0; 64 * 64], None));
     let mut expected = vec![Vec::new(); 64 * 64];
     raster::for_each_fragment(&scene, 0, |_| true, &mut |i, j, f| {
         lists.insert(i, j, f);

@@ -1,12 +1,14 @@
 //! By what pictures are compared: what other metrics than luminance see, and that they cost nothing where there is
 //! nothing else to be seen.
 
+use std::io::Cursor;
+
 use glam::DVec3;
 use lookalike::{
     compare::{self, Appearance, Look},
     io::{Limits, read, write_glb},
     jobs::spec::{Effort, Metric, Optimize, Render, Spec},
-    mesh::{Material, Mesh, shapes},
+    mesh::{AttributeLayer, Image, Material, Mesh, Semantic, Texture, TextureUse, shapes},
     metric,
 };
 
@@ -107,4 +109,59 @@ fn greys_are_compared_by_luminance() {
         assert_eq!(chosen["value"], "luminance");
         assert!(chosen["why"].as_str().unwrap().contains("nothing but greys"), "{chosen}");
     }
+}
+
+/// Hills that are the same left and right of the middle, under a texture that is noise on the left and even on the
+/// right.
+fn hills() -> Mesh {
+    let height = |u: f64, v: f64| 0.05 * libm::sin(40.0 * (u - 0.5).abs()) * libm::cos(37.0 * v);
+    let mut mesh =
+        shapes::grid([80, 80], [false; 2], |u, v| DVec3::new(u - 0.5, v - 0.5, height(u, v)));
+    mesh.face_wedges = mesh.faces.clone();
+    let place = |p: &DVec3| [p.x as f32 + 0.5, p.y as f32 + 0.5];
+    let values = mesh.positions.iter().flat_map(place).collect();
+    mesh.layers = vec![AttributeLayer { semantic: Semantic::TexCoord(0), width: 2, values }];
+    let noise = |x: u32, y: u32| (x / 4 * 64 + y / 4).wrapping_mul(2_654_435_761) >> 31;
+    let texel = |x: u32, y: u32| match x < 128 {
+        true => 60 + 140 * noise(x, y) as u8,
+        false => 130,
+    };
+    let image = image::RgbImage::from_fn(256, 256, |x, y| image::Rgb([texel(x, y); 3]));
+    let mut bytes = Vec::new();
+    image.write_to(&mut Cursor::new(&mut bytes), image::ImageFormat::Png).unwrap();
+    mesh.images = vec![Image { mime: "image/png".into(), bytes: bytes.into(), ..Image::default() }];
+    mesh.textures = vec![Texture { image: Some(0), ..Texture::default() }];
+    let transform = TextureUse::IDENTITY;
+    let base_texture = Some(TextureUse { texture: 0, tex_coord: 0, transform });
+    mesh.materials = vec![Material { base_texture, ..Material::default() }];
+    mesh
+}
+
+/// Of a level, the share of the triangles right of the middle.
+fn share_right(mesh: &Mesh) -> f64 {
+    let is_right =
+        |f: &&[u32; 3]| f.iter().map(|v| mesh.positions[*v as usize].x).sum::<f64>() > 0.0;
+    mesh.faces.iter().filter(is_right).count() as f64 / mesh.faces.len() as f64
+}
+
+/// A texture of noise hides what becomes of the hills beneath it.
+#[test]
+fn triangles_go_where_differences_are_visible() {
+    let input = write_glb(&hills()).unwrap();
+    let of = |metric| {
+        let mut spec = spec(metric, 1200);
+        (spec.render.n_views, spec.render.image_size) = (8, 256);
+        job(&spec, "hills.glb", &input, "cpu")
+    };
+    let (luminance, perceptual) = (of(Metric::Luminance), of(Metric::Perceptual));
+    assert_eq!(perceptual.report()["chosen"]["metric"]["why"], "asked");
+    let shares = [&luminance, &perceptual].map(|done| share_right(&level(done)));
+    eprintln!("triangles where nothing hides them: {shares:.3?}");
+    assert!(shares[1] > shares[0] + 0.1, "{shares:?}");
+    // d2 is of what is visible: less than all there is.
+    let original = read("hills.glb", &input, &Limits::default()).unwrap().mesh;
+    let mesh = level(&perceptual);
+    let [all, visible] =
+        [metric::Metric::Luminance, metric::Metric::Perceptual].map(|m| d2(&original, &mesh, m));
+    assert!(0.0 < visible && visible < all, "{visible}, of {all}");
 }

@@ -84,6 +84,8 @@ pub enum Metric {
     Luminance,
     /// Squared differences of red, green and blue.
     Rgb,
+    /// Squared differences of luminances, less where the original is busy.
+    Perceptual,
 }
 
 impl Metric {

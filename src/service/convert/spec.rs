@@ -41,8 +41,11 @@ const PROJECTIONS: [(v1::Projection, Projection); 2] = [
     (v1::Projection::Orthographic, Projection::Orthographic),
 ];
 
-const METRICS: [(v1::Metric, Metric); 2] =
-    [(v1::Metric::Luminance, Metric::Luminance), (v1::Metric::Rgb, Metric::Rgb)];
+const METRICS: [(v1::Metric, Metric); 3] = [
+    (v1::Metric::Luminance, Metric::Luminance),
+    (v1::Metric::Rgb, Metric::Rgb),
+    (v1::Metric::Perceptual, Metric::Perceptual),
+];
 
 /// Names on the wire of fields that have another one in [`crate::jobs`], or stand elsewhere.
 const WIRE_NAMES: [(&str, &str); 5] = [
