@@ -43,6 +43,7 @@ pub fn bumpy_sphere(n: usize) -> (Vec<DVec3>, Vec<[u32; 3]>) {
 
 /// How a test scene is drawn.
 #[derive(Clone, Copy, Debug)]
+#[expect(clippy::struct_excessive_bools, reason = "independent traits of a test scene")]
 pub struct Look {
     pub image_size: u32,
     pub n_views: u32,

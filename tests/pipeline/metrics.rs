@@ -117,15 +117,12 @@ fn hills() -> Mesh {
     let height = |u: f64, v: f64| 0.05 * libm::sin(40.0 * (u - 0.5).abs()) * libm::cos(37.0 * v);
     let mut mesh =
         shapes::grid([80, 80], [false; 2], |u, v| DVec3::new(u - 0.5, v - 0.5, height(u, v)));
-    mesh.face_wedges = mesh.faces.clone();
+    mesh.face_wedges.clone_from(&mesh.faces);
     let place = |p: &DVec3| [p.x as f32 + 0.5, p.y as f32 + 0.5];
     let values = mesh.positions.iter().flat_map(place).collect();
     mesh.layers = vec![AttributeLayer { semantic: Semantic::TexCoord(0), width: 2, values }];
     let noise = |x: u32, y: u32| (x / 4 * 64 + y / 4).wrapping_mul(2_654_435_761) >> 31;
-    let texel = |x: u32, y: u32| match x < 128 {
-        true => 60 + 140 * noise(x, y) as u8,
-        false => 130,
-    };
+    let texel = |x: u32, y: u32| if x < 128 { 60 + 140 * noise(x, y) as u8 } else { 130 };
     let image = image::RgbImage::from_fn(256, 256, |x, y| image::Rgb([texel(x, y); 3]));
     let mut bytes = Vec::new();
     image.write_to(&mut Cursor::new(&mut bytes), image::ImageFormat::Png).unwrap();
