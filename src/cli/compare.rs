@@ -6,7 +6,7 @@ use clap::Args;
 use lookalike::{
     compare::{self, Comparison, Look, SheetParams},
     io,
-    jobs::spec::{Evaluate, Input, Shading, Spec},
+    jobs::spec::{Evaluate, Input, Metric, Shading, Spec},
     mesh::Mesh,
     service::{convert, proto::v1},
     worker::evaluating,
@@ -52,6 +52,14 @@ pub(crate) struct CompareArgs {
     /// In smooth shading, draw the simplified mesh with the normals of its file.
     #[arg(long)]
     stored_normals: bool,
+    /// By what pictures are compared: luminance; red, green and blue (with --colours); or luminance that counts less
+    /// where the original is busy.
+    #[arg(
+        long,
+        default_value = "luminance",
+        value_parser = word::<Metric>(&["luminance", "rgb", "perceptual"])
+    )]
+    metric: Metric,
     /// Leave the distance between the surfaces out.
     #[arg(long)]
     no_distance: bool,
@@ -67,6 +75,7 @@ impl CompareArgs {
             hide_back_faces: self.hide_back_faces,
             stored_normals: self.stored_normals,
             distance: !self.no_distance,
+            metric: self.metric,
         }
     }
 }

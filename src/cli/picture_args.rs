@@ -1,7 +1,7 @@
 //! The flags that say how the run-time pictures are taken.
 
 use clap::Args;
-use lookalike::jobs::spec::{Projection, Render, Shading};
+use lookalike::jobs::spec::{Metric, Projection, Render, Shading};
 
 use super::job_args::{automatic, word};
 
@@ -49,6 +49,14 @@ pub(crate) struct PictureArgs {
     /// How much each view counts, 0 to 16, one weight a view.
     #[arg(long, value_delimiter = ',', value_name = "W")]
     view_weights: Vec<u32>,
+    /// By what pictures are compared: luminance; red, green and blue (three times the work; colours of equal
+    /// luminance are told apart); or luminance that counts less where the original is busy.
+    #[arg(
+        long,
+        default_value = "luminance",
+        value_parser = word::<Metric>(&["luminance", "rgb", "perceptual"])
+    )]
+    metric: Metric,
 }
 
 impl PictureArgs {
@@ -67,6 +75,7 @@ impl PictureArgs {
             interior_views: self.interior_views,
             hide_back_faces: self.hide_back_faces,
             view_weights: self.view_weights,
+            metric: self.metric,
         }
     }
 }

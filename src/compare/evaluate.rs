@@ -16,11 +16,15 @@ use super::raster::{Appearance, Drawable, Look, Shading, pictures};
 use crate::{
     mesh::Mesh,
     metric::{
-        bounding_sphere,
-        image::{d2_percent, mean_square_difference},
+        Metric, bounding_sphere,
+        image::{d2_percent, mean_square_difference, mean_weighed_difference},
+        masking,
         surface::{SurfaceDistance, SurfaceParams, try_surface_distance},
     },
-    render::view::{Projection, View, ViewParams, cameras, directions},
+    render::{
+        FULL_WEIGHT,
+        view::{Projection, View, ViewParams, cameras, directions},
+    },
 };
 
 /// What to compare, and how closely.
@@ -57,16 +61,20 @@ pub struct Comparison {
     pub triangles_original: usize,
     /// Triangles of the simplified mesh.
     pub triangles_simplified: usize,
-    /// RMS luminance difference over all pixels of all views, percent of full scale.
+    /// RMS difference over all pixels (and channels) of all views, as far as the metric sees it, percent of full
+    /// scale.
     pub d2_percent: f64,
     /// The same on a 0 to 255 scale.
     pub d2_255: f64,
-    /// RMS luminance difference of each view, percent of full scale.
+    /// RMS difference of each view, percent of full scale.
     pub per_view: Vec<f64>,
     /// Flat or smooth.
     pub shading: Shading,
     /// White or coloured.
     pub appearance: Appearance,
+    /// What differences were taken of.
+    #[serde(default)]
+    pub metric: Metric,
     /// Pixels along each side.
     pub image_size: usize,
     /// Samples along each side of a pixel.
@@ -108,11 +116,13 @@ pub struct Reference<'m> {
     original: &'m Mesh,
     params: Params,
     views: Vec<View>,
-    pictures: Vec<Vec<[f32; 1]>>,
+    pictures: Vec<Vec<f32>>,
+    /// How much each pixel counts, where not all count the same.
+    weights: Vec<Vec<u8>>,
 }
 
 impl<'m> Reference<'m> {
-    /// Draws the original in all 24 views; the pictures take `24 · image_size² · 4` bytes.
+    /// Draws the original in all 24 views; the pictures take `24 · image_size² · 4` bytes for each channel.
     pub fn new(original: &'m Mesh, params: &Params) -> Self {
         let Ok(reference) = Self::try_new(original, params, NEVER_ENDS);
         reference
@@ -131,10 +141,12 @@ impl<'m> Reference<'m> {
                 ..view_params(params.fov_degrees, params.light_degrees)
             },
         );
-        let drawable = Drawable::luminance(original, &params.look);
-        let half = |share: f64| tick(Part::Pictures, share / 2.0);
-        let pictures = pictures(&drawable, &views, &params.look, &half)?;
-        Ok(Self { original, params: params.clone(), views, pictures })
+        let pictures = drawn(original, &views, (&params.look, false), tick)?;
+        let weights = match params.look.metric {
+            Metric::Luminance | Metric::Rgb => Vec::new(),
+            Metric::Perceptual => pictures.iter().map(|p| weights(p, &params.look)).collect(),
+        };
+        Ok(Self { original, params: params.clone(), views, pictures, weights })
     }
 
     /// Compares one mesh with the original.
@@ -150,15 +162,14 @@ impl<'m> Reference<'m> {
         tick: Tick<'_, E>,
     ) -> Result<Comparison, E> {
         let look = &self.params.look;
-        let mut drawable = Drawable::luminance(simplified, look);
-        if self.params.stored_normals {
-            drawable = drawable.with_stored_normals();
-        }
-        let half = |share: f64| tick(Part::Pictures, share / 2.0);
-        let drawn = pictures(&drawable, &self.views, look, &half)?;
-        let mean_squares: Vec<f64> = (self.pictures.iter().zip(&drawn))
-            .map(|(a, b)| mean_square_difference(a.as_flattened(), b.as_flattened()))
-            .collect();
+        let drawn = drawn(simplified, &self.views, (look, self.params.stored_normals), tick)?;
+        let mean_square =
+            |(view, (a, b)): (usize, (&Vec<f32>, &Vec<f32>))| match self.weights.get(view) {
+                None => mean_square_difference(a, b),
+                Some(weights) => mean_weighed_difference(a, b, (weights, FULL_WEIGHT)),
+            };
+        let mean_squares: Vec<f64> =
+            self.pictures.iter().zip(&drawn).enumerate().map(mean_square).collect();
         let d2 = d2_percent(&mean_squares);
         let of_distance = |share: f64| tick(Part::Distance, share);
         let metro = match &self.params.surface {
@@ -175,11 +186,49 @@ impl<'m> Reference<'m> {
             per_view: mean_squares.iter().map(|m| d2_percent(&[*m])).collect(),
             shading: look.shading,
             appearance: look.appearance,
+            metric: look.metric,
             image_size: look.image_size,
             supersampling: look.supersampling,
             metro,
         })
     }
+}
+
+/// Pictures of a mesh, pixel after pixel and channel after channel of each: half of [`Part::Pictures`].
+fn drawn<E: Send>(
+    mesh: &Mesh,
+    views: &[View],
+    (look, stored_normals): (&Look, bool),
+    tick: Tick<'_, E>,
+) -> Result<Vec<Vec<f32>>, E> {
+    match look.metric {
+        Metric::Luminance | Metric::Perceptual => {
+            drawn_channels(Drawable::luminance(mesh, look), views, (look, stored_normals), tick)
+        }
+        Metric::Rgb => {
+            drawn_channels(Drawable::channels(mesh, look), views, (look, stored_normals), tick)
+        }
+    }
+}
+
+/// How much the pixels of a picture count.
+fn weights(picture: &[f32], look: &Look) -> Vec<u8> {
+    let bytes: Vec<u8> = picture.iter().map(|lum| (lum * 255.0 + 0.5) as u8).collect();
+    masking::weights(&bytes, look.image_size)
+}
+
+fn drawn_channels<const N: usize, E: Send>(
+    mut drawable: Drawable<'_, N>,
+    views: &[View],
+    (look, stored_normals): (&Look, bool),
+    tick: Tick<'_, E>,
+) -> Result<Vec<Vec<f32>>, E> {
+    if stored_normals {
+        drawable = drawable.with_stored_normals();
+    }
+    let half = |share: f64| tick(Part::Pictures, share / 2.0);
+    let pictures = pictures(&drawable, views, look, &half)?;
+    Ok(pictures.into_iter().map(Vec::into_flattened).collect())
 }
 
 /// Compares one mesh with its original.
@@ -210,9 +259,14 @@ pub fn report_text(comparison: &Comparison) -> String {
     let (shading, appearance) = (lower(c.shading), lower(c.appearance));
     let _ = writeln!(
         text,
-        "           {size} x {size} pixels, {n} x {n} samples each, {shading} shading, {appearance}",
+        "           {size} x {size} pixels, {n} x {n} samples each, {shading} shading, {appearance}{by}",
         size = c.image_size,
         n = c.supersampling,
+        by = match c.metric {
+            Metric::Luminance => "",
+            Metric::Rgb => ", by red, green and blue",
+            Metric::Perceptual => ", by visible luminance",
+        },
     );
     if let Some(m) = &c.metro {
         let _ = writeln!(

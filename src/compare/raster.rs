@@ -25,7 +25,10 @@ use super::{
 };
 use crate::{
     mesh::{Material, Mesh, Semantic, TextureUse, WedgeId},
-    metric::image::{luminance, srgb_from_linear},
+    metric::{
+        Metric,
+        image::{luminance, srgb_from_linear},
+    },
     render::view::{Projection, View},
 };
 
@@ -69,6 +72,8 @@ pub struct Look {
     pub background: f64,
     /// Back faces of single-sided materials are left out.
     pub hides_back_faces: bool,
+    /// What differences are taken of.
+    pub metric: Metric,
 }
 
 impl Default for Look {
@@ -81,6 +86,7 @@ impl Default for Look {
             ambient: 0.1,
             background: 0.5,
             hides_back_faces: false,
+            metric: Metric::default(),
         }
     }
 }
@@ -107,6 +113,11 @@ impl<'m> Drawable<'m, 1> {
 }
 
 impl<'m> Drawable<'m, 3> {
+    /// For pictures of linear colours, which differences are taken of.
+    pub fn channels(mesh: &'m Mesh, look: &Look) -> Self {
+        Self::new(mesh, look, |colour| colour, |texel| texel)
+    }
+
     /// For pictures to look at: surface colours are sRGB-encoded, then shaded, so that light and
     /// background are the same greys as in the luminance pictures. Textures are encoded already.
     pub fn display(mesh: &'m Mesh, look: &Look) -> Self {

@@ -1,5 +1,5 @@
 //! What a triangle's light falls on: material colour times vertex colour as the albedo of its corners, in 8 bits
-//! of luminance, and the texture, which has in it what the material gives off.
+//! of luminance (or of red, green and blue), and the texture, which has in it what the material gives off.
 //!
 //! A model of one single colour is drawn white, as the papers do: then only its shape counts, and
 //! it stands out against the grey background whatever its paint. Luminance of a vertex colour times that of a
@@ -13,25 +13,17 @@ use crate::{
 };
 
 use super::{
-    image,
+    channels::Metric,
     palette::{Painting, Palette},
 };
-
-/// Luminance of an RGB(A) vector; white when it is too short to be one.
-fn luminance(colour: &[f32]) -> f32 {
-    match colour {
-        [r, g, b, ..] => image::luminance([*r, *g, *b]),
-        _ => 1.0,
-    }
-}
 
 /// See the module.
 #[derive(Clone, Debug, Default)]
 pub struct Appearance {
-    /// By wedge: luminance of the vertex colour; empty when there are no colours.
-    wedges: Vec<f32>,
+    /// By wedge: channels of the vertex colour; empty when there are no colours.
+    wedges: Vec<[f32; 3]>,
     /// By material; empty when the whole model is white.
-    materials: Vec<f32>,
+    materials: Vec<[f32; 3]>,
     palette: Arc<Palette>,
 }
 
@@ -43,10 +35,11 @@ impl Appearance {
         if !is_white(mesh) {
             // A texture has the factor in it.
             let of_material = |(k, m): (u32, &Material)| match palette.painting(k) {
-                Some(_) => 1.0,
-                None => luminance(&m.base_color).clamp(0.0, 1.0),
+                Some(_) => [1.0; 3],
+                None => this.channels(&m.base_color).map(|c| c.clamp(0.0, 1.0)),
             };
-            this.materials = (0..).zip(&mesh.materials).map(of_material).collect();
+            let materials = (0..).zip(&mesh.materials).map(of_material).collect();
+            this.materials = materials;
         }
         this
     }
@@ -57,8 +50,14 @@ impl Appearance {
         if let Some(layer) = mesh.layer(Semantic::Color(0)) {
             let known = self.wedges.len() * layer.width;
             let rest = layer.values.get(known..).unwrap_or_default();
-            self.wedges.extend(rest.chunks_exact(layer.width.max(1)).map(luminance));
+            let metric = self.palette.metric();
+            self.wedges.extend(rest.chunks_exact(layer.width.max(1)).map(|c| metric.channels(c)));
         }
+    }
+
+    /// Of an RGB(A) vector; white when it is too short to be one.
+    fn channels(&self, colour: &[f32]) -> [f32; 3] {
+        self.palette.metric().channels(colour)
     }
 
     /// The surface of a triangle.
@@ -69,11 +68,11 @@ impl Appearance {
         let Some(wedges) = mesh.face_wedges.get(face.index()) else {
             let plain = self.painting(mesh, face).filter(|(_, at)| at.is_none());
             let paint = plain.map(|(painting, _)| Paint { map: painting.map, uv: [[0.0; 2]; 3] });
-            let albedo = [self.byte(1.0, mesh, face); 3];
+            let albedo = [self.bytes([1.0; 3], mesh, face); 3];
             return Surface { albedo, paint, is_unlit, is_single_sided };
         };
-        let colour = |w: u32| self.wedges.get(w as usize).copied().unwrap_or(1.0);
-        let albedo = wedges.map(|w| self.byte(colour(w), mesh, face));
+        let colour = |w: u32| self.wedges.get(w as usize).copied().unwrap_or([1.0; 3]);
+        let albedo = wedges.map(|w| self.bytes(colour(w), mesh, face));
         let paint = self.painting(mesh, face).map(|(painting, at)| {
             let place = |w: u32| {
                 let Some(layer) = at.map(|at| &mesh.layers[at]) else { return [0.0; 2] };
@@ -107,7 +106,7 @@ impl Appearance {
         if !self.wedges.is_empty() {
             let at = layers.iter().position(|l| l.semantic == Semantic::Color(0));
             if let Some(colour) = at.and_then(|at| new_wedge_value(layers, values, (nth, at))) {
-                surface.albedo[k] = self.byte(luminance(colour), mesh.mesh(), face);
+                surface.albedo[k] = self.bytes(self.channels(colour), mesh.mesh(), face);
             }
         }
         let painting = self.painting(mesh.mesh(), face);
@@ -126,10 +125,14 @@ impl Appearance {
         Some((painting, Some(mesh.layers.iter().position(|l| l.semantic == semantic)?)))
     }
 
-    fn byte(&self, vertex_luminance: f32, mesh: &Mesh, face: FaceId) -> u8 {
+    fn bytes(&self, vertex: [f32; 3], mesh: &Mesh, face: FaceId) -> [u8; 3] {
         let material = mesh.material_of(face) as usize;
-        let material = self.materials.get(material).copied().unwrap_or(1.0);
-        ((vertex_luminance * material).clamp(0.0, 1.0) * 255.0 + 0.5) as u8
+        let material = self.materials.get(material).copied().unwrap_or([1.0; 3]);
+        let byte = |c: usize| ((vertex[c] * material[c]).clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
+        match self.palette.metric() {
+            Metric::Luminance | Metric::Perceptual => [byte(0); 3],
+            Metric::Rgb => [0, 1, 2].map(byte),
+        }
     }
 }
 

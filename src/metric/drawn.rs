@@ -6,6 +6,8 @@
 //! 2. luminances are not rounded, so that they have derivatives; where light and what is given off are more than
 //!    white, nothing changes.
 
+use std::ops::Range;
+
 use glam::{DVec2, DVec3};
 
 use crate::render::{
@@ -15,6 +17,7 @@ use crate::render::{
 
 use super::{
     shade::Shade,
+    shown::Shown,
     slopes::{Drag, Slopes},
 };
 
@@ -107,43 +110,40 @@ impl<'s> Drawn<'s> {
     }
 
     /// Adds energy and slopes.
-    pub fn differentiate(&self, reference: &[u8], sum: &mut Slopes) {
+    pub fn differentiate(&self, shown: Shown<'_>, sum: &mut Slopes) {
         let mut seen = vec![Seen::default(); self.shades.len()];
         for start in (0..self.ids.len()).step_by(self.size) {
             let (row, end) = (&self.ids[start..][..self.size], start + self.size);
             let mut at = start;
             for run in row.chunk_by(|a, b| a == b) {
-                let energy = self.see(run[0], &reference[at..][..run.len()], at, &mut seen);
+                let energy = self.see(run[0], shown, at..at + run.len(), &mut seen);
                 sum.energy += energy;
                 if let Some(of_face) = sum.faces.get_mut(run[0] as usize) {
                     *of_face += energy;
                 }
                 at += run.len();
                 if at < end {
-                    self.across(reference, [at - 1, at], Axis::X, &mut seen);
+                    self.across(shown, [at - 1, at], Axis::X, &mut seen);
                 }
             }
             let below = self.ids.get(end..).unwrap_or_default();
             for (at, (a, b)) in (start..).zip(row.iter().zip(below)) {
                 if a != b {
-                    self.across(reference, [at, at + self.size], Axis::Y, &mut seen);
+                    self.across(shown, [at, at + self.size], Axis::Y, &mut seen);
                 }
             }
         }
         self.add_up(&seen, sum);
     }
 
-    /// Adds a run of pixels that show one triangle to what is seen of it; `at` is the first one's
-    /// number. Returns their energy.
-    fn see(&self, id: u32, reference: &[u8], at: usize, seen: &mut [Seen]) -> f64 {
+    /// Adds a run of pixels that show one triangle to what is seen of it. Returns their energy.
+    fn see(&self, id: u32, shown: Shown<'_>, pixels: Range<usize>, seen: &mut [Seen]) -> f64 {
         let paint = self.paint(id);
         let is_flat = self.scene.params.shading == Shading::Flat;
         let is_even = self.shades.get(id as usize).is_none_or(Shade::is_even);
         if id == NOTHING || (is_flat && is_even && paint.is_none()) {
-            let lum = self.luminance(id, at);
-            let n = reference.len() as f64;
-            let sum = f64::from(reference.iter().map(|r| u32::from(*r)).sum::<u32>());
-            let squares = f64::from(reference.iter().map(|r| u32::from(*r).pow(2)).sum::<u32>());
+            let lum = self.luminance(id, pixels.start);
+            let [n, sum, squares] = shown.sums(pixels);
             if let Some(seen) = seen.get_mut(id as usize) {
                 seen.n += n;
                 seen.off += n * lum - sum;
@@ -153,22 +153,23 @@ impl<'s> Drawn<'s> {
         let (shade, seen) = (&self.shades[id as usize], &mut seen[id as usize]);
         let mean = shade.corners.iter().sum::<f64>() / 3.0;
         let mut energy = 0.0;
-        for (pixel, r) in (at..).zip(reference) {
+        for pixel in pixels {
+            let weight = shown.weight(pixel);
             let (bare, texel) = (self.bare_luminance(id, pixel), self.texel(id, pixel));
             let (lum, is_full) = with_glow(bare * texel, self.glow(id, pixel));
-            let off = lum - f64::from(*r);
-            energy += off * off;
+            let off = lum - f64::from(shown.picture[pixel]);
+            energy += weight * (off * off);
             if is_full {
                 continue;
             }
             let of_mean = if is_flat && !is_even { texel * bare / mean } else { texel };
-            seen.n += of_mean * of_mean;
-            seen.off += off * of_mean;
+            seen.n += weight * (of_mean * of_mean);
+            seen.off += weight * (off * of_mean);
             for (k, share) in shade.shares_at(pixel, self.size).into_iter().enumerate() {
-                seen.off_by_share[k] += off * texel * share;
-                seen.squares[k] += (texel * share).powi(2);
+                seen.off_by_share[k] += weight * (off * texel * share);
+                seen.squares[k] += weight * (texel * share).powi(2);
                 if paint.is_some() {
-                    seen.drags[k].add(off, self.slope(id, pixel, (share, bare)));
+                    seen.drags[k].add(weight, off, self.slope(id, pixel, (share, bare)));
                 }
             }
         }
@@ -176,16 +177,17 @@ impl<'s> Drawn<'s> {
     }
 
     /// Adds what changes where two neighbouring pixels show different triangles.
-    fn across(&self, reference: &[u8], pixels: [usize; 2], axis: Axis, seen: &mut [Seen]) {
+    fn across(&self, shown: Shown<'_>, pixels: [usize; 2], axis: Axis, seen: &mut [Seen]) {
         let Some((id, k, at)) = self.side_between(pixels, axis) else { return };
         // Both at the edge: smooth surfaces do not jump where two triangles meet.
         let at_edge = |id| 0.5 * pixels.iter().map(|p| self.luminance(id, *p)).sum::<f64>();
         let lum = pixels.map(|p| at_edge(self.ids[p]));
-        let square = |l: f64, p: usize| (l - f64::from(reference[p])).powi(2);
+        let weights = pixels.map(|p| shown.weight(p));
+        let square = |l: f64, p: usize| shown.weight(p) * (l - f64::from(shown.picture[p])).powi(2);
         // As the edge moves on, the first pixel's triangle gains ground from the second's.
         let change = |p: &usize| square(lum[0], *p) - square(lum[1], *p);
         let slope = 0.5 * pixels.iter().map(change).sum::<f64>();
-        let bend = 2.0 * (lum[0] - lum[1]).powi(2);
+        let bend = (weights[0] + weights[1]) * (lum[0] - lum[1]).powi(2);
         let sums = &mut seen[id as usize].sides[k];
         for (sum, share) in sums.iter_mut().zip([1.0 - at, at]) {
             sum[0] += slope * share;

@@ -22,6 +22,15 @@ pub fn mean_square_difference(a: &[f32], b: &[f32]) -> f64 {
     sum / a.len().max(1) as f64
 }
 
+/// The same, each square counting so many parts of `full`.
+pub fn mean_weighed_difference(a: &[f32], b: &[f32], (weights, full): (&[u8], u8)) -> f64 {
+    debug_assert_eq!((a.len(), a.len()), (b.len(), weights.len()), "pictures of different sizes");
+    let square = |(x, y): (&f32, &f32)| (f64::from(*x) - f64::from(*y)).powi(2);
+    let squares = a.iter().zip(b).map(square).zip(weights);
+    let sum: f64 = squares.map(|(square, w)| f64::from(*w) * square).sum();
+    sum / (f64::from(full) * a.len().max(1) as f64)
+}
+
 /// Root of the mean of equally weighted mean squares, in percent of full scale: the papers' d2.
 pub fn d2_percent(mean_squares: &[f64]) -> f64 {
     let n = mean_squares.len().max(1) as f64;

@@ -5,11 +5,16 @@
 
 mod appearance;
 mod bvh;
+mod channels;
+#[cfg(test)]
+mod channels_tests;
 mod drawn;
 pub mod image;
+pub mod masking;
 mod objective;
 mod palette;
 mod shade;
+mod shown;
 mod slopes;
 #[cfg(test)]
 mod slopes_tests;
@@ -19,6 +24,7 @@ mod template;
 mod template_tests;
 
 pub use appearance::is_white;
+pub use channels::{Metric, is_grey};
 pub use objective::{
     Objective, Pictures, ViewSet, bounding_sphere, d2_percent, energy_of_d2, pictures_and_unseen,
     reference_pictures, scene_as_drawn, scene_of_edit_mesh, scene_with_normals, stored_normal,

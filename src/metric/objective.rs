@@ -8,6 +8,7 @@
 use std::sync::Arc;
 
 use glam::{DQuat, DVec3};
+use rayon::prelude::*;
 
 use crate::{
     mesh::{AttributeLayer, Collapse, EditMesh, FaceId, Mesh, Semantic, VertexId},
@@ -18,7 +19,7 @@ use crate::{
     },
 };
 
-use super::{appearance::Appearance, palette::Palette};
+use super::{appearance::Appearance, channels::Metric, masking, palette::Palette};
 
 /// Pictures of the model being simplified, beside the original's.
 pub struct Objective {
@@ -64,8 +65,23 @@ impl ViewSet {
 impl Pictures {
     /// Of a mesh, and of what is made of it.
     pub fn of(mesh: &Mesh, params: RenderParams, views: Vec<View>) -> Self {
-        let palette = Arc::new(Palette::of(mesh, params.image_size));
-        Self { params, views, palette }
+        Self::by_metric(mesh, params, views, Metric::Luminance)
+    }
+
+    /// The same by another metric: where colours count, each camera takes a picture of each channel.
+    pub fn by_metric(
+        mesh: &Mesh,
+        mut params: RenderParams,
+        cameras: Vec<View>,
+        metric: Metric,
+    ) -> Self {
+        let palette = Arc::new(Palette::of(mesh, params.image_size, metric));
+        // A camera's pictures follow one another, so those of the interior still come first.
+        params.interior_views *= metric.n_channels();
+        let views = cameras.into_iter().flat_map(|camera| {
+            (0..metric.n_channels() as u8).map(move |channel| camera.in_channel(channel))
+        });
+        Self { params, views: views.collect(), palette }
     }
 
     /// The same cameras, all turned about the centre of the model by the same rotation: number
@@ -106,7 +122,11 @@ pub fn reference_pictures(original: &Mesh, pictures: &Pictures) -> Reference {
 
 /// Likewise; and how many triangles are in front in no pixel.
 pub fn pictures_and_unseen(mesh: &Mesh, pictures: &Pictures) -> (Reference, usize) {
-    let (reference, seen) = reference_and_seen(&scene_of(mesh, pictures, |_| true));
+    let (mut reference, seen) = reference_and_seen(&scene_of(mesh, pictures, |_| true));
+    if pictures.palette.metric() == Metric::Perceptual {
+        let weigh = |p: &Vec<u8>| masking::weights(p, pictures.params.image_size as usize);
+        reference.weights = reference.pictures.par_iter().map(weigh).collect();
+    }
     (reference, seen.iter().filter(|is_seen| !**is_seen).count())
 }
 
@@ -261,7 +281,7 @@ impl Objective {
         self.evaluations
     }
 
-    /// Sum of squared luminance differences over all pictures, each as often as its view counts, 0..=255
+    /// Sum of squared differences over all pictures, each as often as its view and its pixel count, 0..=255
     /// units.
     pub fn energy(&self) -> u64 {
         self.evaluator.energy()
@@ -269,7 +289,13 @@ impl Objective {
 
     /// The papers' d2 on the run-time views: percent of full scale.
     pub fn d2_percent(&self) -> f64 {
-        d2_percent(self.energy(), self.scene.n_counted_pixels())
+        d2_percent(self.energy(), self.n_counted_pixels())
+    }
+
+    /// Pixels in all pictures, as often as they count at most.
+    pub fn n_counted_pixels(&self) -> u64 {
+        let full_weight = self.reference.as_ref().map_or(1, Reference::full_weight);
+        self.scene.n_counted_pixels() * u64::from(full_weight)
     }
 
     /// The change of energy of each move.

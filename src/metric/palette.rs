@@ -1,8 +1,10 @@
-//! The textures of a model as the pictures need them: luminances, no finer than pictures show.
+//! The textures of a model as the pictures need them: luminances, or a texture each of red, green and blue, no finer
+//! than pictures show.
 //!
 //! Colours are taken as they are encoded, without a transfer curve, as `image.rs` takes all others: base colour
-//! texture times factor; and what is given off, emissive texture times factor, each channel up to full scale. Where a material is masked, alpha below its threshold leaves holes; where it is blended, as
-//! large a share of the pixels, evenly spread: what lies behind shows through without an order.
+//! texture times factor; and what is given off, emissive texture times factor, each channel up to full scale. Where a
+//! material is masked, alpha below its threshold leaves holes; where it is blended, as large a share of the pixels,
+//! evenly spread: what lies behind shows through without an order.
 
 use std::sync::Arc;
 
@@ -13,7 +15,7 @@ use crate::{
     render::{Alpha, Sieve, Texels},
 };
 
-use super::image::REC709;
+use super::channels::Metric;
 
 /// Texels along a side of a texture, at most, for each pixel along a side of a picture: a model that fills the
 /// picture then shows a texel in each of its pixels even where a quarter of the texture covers it.
@@ -25,6 +27,8 @@ pub struct Palette {
     texels: Arc<Texels>,
     /// By material.
     paintings: Vec<Option<Painting>>,
+    /// By which it is seen.
+    metric: Metric,
 }
 
 /// What the triangles of a material are painted with.
@@ -66,8 +70,8 @@ struct Shine<'m> {
 }
 
 impl Palette {
-    /// Of a mesh that is shown in pictures of so many pixels a side.
-    pub fn of(mesh: &Mesh, image_size: u32) -> Self {
+    /// Of a mesh that is shown in pictures of so many pixels a side, by a metric.
+    pub fn of(mesh: &Mesh, image_size: u32, metric: Metric) -> Self {
         let mut recipes: Vec<Recipe<'_>> = Vec::new();
         let mut paint = |m: &Material| {
             let (recipe, at) = Recipe::of(mesh, m)?;
@@ -77,19 +81,27 @@ impl Palette {
                 recipes.push(recipe);
             }
             Some(Painting {
-                map: map as u32,
+                map: (map * metric.n_channels()) as u32,
                 tex_coord: at.map(|at| at.tex_coord),
                 transform: at.map_or(TextureUse::IDENTITY, |at| scaled(&at, recipe.wrap)),
             })
         };
         let paintings = mesh.materials.iter().map(&mut paint).collect();
         let most = TEXELS_PER_PIXEL * image_size.next_power_of_two();
-        let drawn: Vec<_> = recipes.par_iter().map(|r| r.drawn(most)).collect();
+        let draw = |r: &Recipe<'_>| metric.weights().iter().map(|w| r.drawn(most, w)).collect();
+        let drawn: Vec<Vec<_>> = recipes.par_iter().map(draw).collect();
         let mut texels = Texels::default();
-        for (recipe, Drawn { bits, luminances, alpha, glow }) in recipes.iter().zip(drawn) {
-            texels.add(bits, luminances, recipe.wrap.map(|w| w == Wrap::Clamp), alpha, glow);
+        for (recipe, channels) in recipes.iter().zip(drawn) {
+            for Drawn { bits, values, alpha, glow } in channels {
+                texels.add(bits, values, recipe.wrap.map(|w| w == Wrap::Clamp), alpha, glow);
+            }
         }
-        Self { texels: Arc::new(texels), paintings }
+        Self { texels: Arc::new(texels), paintings, metric }
+    }
+
+    /// What is seen of colours.
+    pub(super) fn metric(&self) -> Metric {
+        self.metric
     }
 
     /// The textures.
@@ -121,7 +133,7 @@ const WHITE: [u8; 4] = [255; 4];
 struct Drawn {
     /// The logarithms of these.
     bits: [u32; 2],
-    luminances: Vec<u8>,
+    values: Vec<u8>,
     alpha: Option<Alpha>,
     glow: Option<Vec<u8>>,
 }
@@ -160,26 +172,27 @@ impl<'m> Recipe<'m> {
         texels(self.image).iter().any(|p| alpha(p) < least)
     }
 
-    /// Luminances, alphas and what is given off, on sides of at most `most`.
-    fn drawn(&self, most: u32) -> Drawn {
-        let [r, g, b] = std::array::from_fn(|c| REC709[c] as f32 * self.factor[c]);
+    /// A channel, which has so much of red, green and blue; alphas; and what is given off in that channel. On sides of
+    /// at most `most`.
+    fn drawn(&self, most: u32, weights: &[f64; 3]) -> Drawn {
+        let [r, g, b] = std::array::from_fn(|c| weights[c] as f32 * self.factor[c]);
         let base = |weights: [f32; 4]| {
             let sum = |p: &[u8; 4]| (0..4).map(|c| weights[c] * f32::from(p[c])).sum();
             self.channel(self.image, sum, most)
         };
-        let (bits, luminances) = base([r, g, b, 0.0]);
+        let (bits, values) = base([r, g, b, 0.0]);
         let alpha = self.sieve.map(|sieve| {
             let (_, values) = base([0.0, 0.0, 0.0, self.factor[3]]);
             Alpha { values, sieve }
         });
         let glow = self.glow.map(|glow| {
             let channel = |p: &[u8; 4], c: usize| (glow.factor[c] * f32::from(p[c])).min(255.0);
-            let sum = |p: &[u8; 4]| (0..3).map(|c| REC709[c] as f32 * channel(p, c)).sum();
+            let sum = |p: &[u8; 4]| (0..3).map(|c| weights[c] as f32 * channel(p, c)).sum();
             self.channel(glow.image, sum, most).1
         });
         // What is black everywhere needs no second look either.
         let glow = glow.filter(|glow| glow.iter().any(|lum| *lum > 0));
-        Drawn { bits, luminances, alpha, glow }
+        Drawn { bits, values, alpha, glow }
     }
 
     /// Sides that hold both images, at most `most`.

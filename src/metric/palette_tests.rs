@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use super::Palette;
 use crate::{
     mesh::{AttributeLayer, Image, Material, Mesh, Pixels, Semantic, Texture, TextureUse},
-    metric::{Pictures, bounding_sphere, is_white, reference_pictures},
+    metric::{Metric, Pictures, bounding_sphere, is_white, reference_pictures},
     render::{
         RenderParams, Shading,
         view::{Projection, ViewParams, cameras},
@@ -196,12 +196,12 @@ fn unlit_materials_give_nothing_off_and_black_textures_cost_nothing() {
     let mut mesh = glowing_wall([0.5; 4], false, json!({ "emissiveFactor": [1, 1, 1] }));
     mesh.materials[0].unlit = true;
     assert!(picture(&mesh, false).contains(&128) && !picture(&mesh, false).contains(&255));
-    assert!(Palette::of(&mesh, 128).is_empty());
+    assert!(Palette::of(&mesh, 128, Metric::Luminance).is_empty());
     let source = json!({ "emissiveFactor": [1, 1, 1], "emissiveTexture": { "index": 1 } });
     let mut mesh = glowing_wall([0.5; 4], false, source);
-    assert!(Palette::of(&mesh, 128).texels().has_glow());
+    assert!(Palette::of(&mesh, 128, Metric::Luminance).texels().has_glow());
     mesh.images[1].pixels = Some(Arc::new(Pixels { width: 1, height: 1, rgba: vec![0; 4] }));
-    assert!(!Palette::of(&mesh, 128).texels().has_glow());
+    assert!(!Palette::of(&mesh, 128, Metric::Luminance).texels().has_glow());
 }
 
 #[test]
@@ -214,7 +214,7 @@ fn materials_that_differ_in_what_they_give_off_share_no_texture() {
         other(json!({ "emissiveFactor": [1, 1, 0] })),
         other(Value::Null),
     ]);
-    let palette = Palette::of(&mesh, 128);
+    let palette = Palette::of(&mesh, 128, Metric::Luminance);
     let maps: Vec<_> = (0..4).map(|k| palette.painting(k).unwrap().map).collect();
     assert_eq!(maps, [0, 0, 1, 2]);
 }

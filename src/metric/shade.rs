@@ -45,7 +45,7 @@ impl Shade {
     ) -> Self {
         let v = &scene.views[view];
         let ambient = scene.params.ambient;
-        let albedos = face.surface.albedo.map(f64::from);
+        let albedos = face.surface.albedo_in(v).map(f64::from);
         let albedo = albedos.iter().sum::<f64>() / 3.0;
         let centroid = (p[0] + p[1] + p[2]) / 3.0;
         let side = if v.sees_front(centroid, normal) { 1.0 } else { -1.0 };
@@ -74,7 +74,7 @@ impl Shade {
         let ambient = scene.params.ambient;
         let mut this = Self::default();
         for (k, place) in p.into_iter().enumerate() {
-            let albedo = f64::from(face.surface.albedo[k]);
+            let albedo = f64::from(face.surface.albedo_in(v)[k]);
             if face.surface.is_unlit {
                 this.corners[k] = albedo;
                 continue;

@@ -17,7 +17,7 @@ use rayon::prelude::*;
 
 use crate::render::{Reference, Scene, Shading};
 
-use super::drawn::Drawn;
+use super::{drawn::Drawn, shown::Shown};
 
 /// Slope and bend of the energy at a vertex.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -49,11 +49,12 @@ pub(super) struct Drag {
 }
 
 impl Drag {
-    /// Adds a pixel whose luminance is too much by `off`, and grows by `by` for each pixel of motion the other way.
-    pub(super) fn add(&mut self, off: f64, by: DVec2) {
-        self.slope += 2.0 * off * by;
-        self.squares += 2.0 * by * by;
-        self.product += 2.0 * by.x * by.y;
+    /// Adds a pixel that counts `weight` times, whose luminance is too much by `off`, and grows by `by` for each pixel
+    /// of motion the other way.
+    pub(super) fn add(&mut self, weight: f64, off: f64, by: DVec2) {
+        self.slope += 2.0 * weight * off * by;
+        self.squares += 2.0 * weight * by * by;
+        self.product += 2.0 * weight * by.x * by.y;
     }
 
     /// `dx` and `dy` are how the corner moves in the picture.
@@ -90,7 +91,7 @@ pub fn slopes(scene: &Scene, reference: &Reference, has_own_normals: bool) -> Sl
     };
     let of_view = |view: usize| {
         let mut part = sum.clone();
-        Drawn::new(scene, view).differentiate(&reference.pictures[view], &mut part);
+        Drawn::new(scene, view).differentiate(Shown::of(reference, view), &mut part);
         part
     };
     let parts: Vec<Slopes> = (0..scene.n_views()).into_par_iter().map(of_view).collect();

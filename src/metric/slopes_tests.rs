@@ -81,6 +81,13 @@ fn stage_of(original: Mesh, shading: Shading, projection: Projection) -> (ViewSe
     (set, with_vertex_normals(shapes::torus(9, 7, 0.0)))
 }
 
+/// The pixels count more and more from left to right.
+fn weighed(mut set: ViewSet) -> ViewSet {
+    let row = (0..256).map(|x| 1 + (x / 16) as u8).collect::<Vec<_>>();
+    set.reference.weights = vec![row.repeat(256); set.reference.pictures.len()];
+    set
+}
+
 /// Steps of the way that is walked.
 const N_STEPS: usize = 32;
 
@@ -130,6 +137,14 @@ fn places_of_flat_triangles() {
     }
 }
 
+#[test]
+fn places_where_pixels_have_weights() {
+    let (set, mesh) = stage(Shading::Flat, Projection::Perspective);
+    let set = weighed(set);
+    let scene = scene_of_edit_mesh(&EditMesh::new(mesh).unwrap(), &set.pictures);
+    check((&set, &scene), false, 0.05, &move_place, &|s, v| s.places[v].gradient);
+}
+
 /// Colours travel with the corners, and are lit as the triangle is.
 #[test]
 fn places_of_flat_triangles_with_colours() {
@@ -163,10 +178,12 @@ fn the_energy_is_that_of_the_pictures() {
         let (set, mesh) = stage_of(original, shading, Projection::Perspective);
         let scene = scene_of_edit_mesh(&EditMesh::new(dressed(mesh)).unwrap(), &set.pictures);
         let drawn = render::reference(&scene).pictures;
-        let wanted = render::energy(&set.pictures.views, &set.reference, &drawn) as f64;
-        let found = slopes(&scene, &set.reference, false).energy;
-        // Luminances of the pictures are rounded.
-        assert!((found / wanted - 1.0).abs() < 0.01, "{shading:?}: {found} {wanted}");
+        for set in [set.clone(), weighed(set)] {
+            let wanted = render::energy(&set.pictures.views, &set.reference, &drawn) as f64;
+            let found = slopes(&scene, &set.reference, false).energy;
+            // Luminances of the pictures are rounded.
+            assert!((found / wanted - 1.0).abs() < 0.01, "{shading:?}: {found} {wanted}");
+        }
     }
 }
 

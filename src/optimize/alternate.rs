@@ -196,7 +196,7 @@ impl<'a> Alternation<'a> {
             n_steps: 0,
             has_own_normals: objective.has_own_normals(),
             memory: None,
-            n_pixels: objective.scene().n_counted_pixels(),
+            n_pixels: objective.n_counted_pixels(),
             n_fruitless: 0,
             outcome,
         }

@@ -41,7 +41,13 @@ fn potentials(mesh: &EditMesh, objective: &mut Objective) -> Result<Option<Vec<f
         let shown = objective.picture(view)?;
         let Some(reference) = objective.reference() else { return Ok(None) };
         let scene = objective.scene();
-        let differences = squares(&shown, &reference.pictures[view], scene.lattice.size as usize);
+        let mut differences =
+            squares(&shown, &reference.pictures[view], scene.lattice.size as usize);
+        for (difference, w) in
+            differences.values.iter_mut().zip(reference.weights_in(view).into_iter().flatten())
+        {
+            *difference *= f32::from(*w);
+        }
         let blurred = expand(&reduce(&differences), differences.size);
         for (v, sum) in sums.iter_mut().enumerate() {
             let p = scene.views[view].project(mesh.position(VertexId(v as u32)));

@@ -43,6 +43,7 @@ pub fn bumpy_sphere(n: usize) -> (Vec<DVec3>, Vec<[u32; 3]>) {
 
 /// How a test scene is drawn.
 #[derive(Clone, Copy, Debug)]
+#[expect(clippy::struct_excessive_bools, reason = "independent traits of a test scene")]
 pub struct Look {
     pub image_size: u32,
     pub n_views: u32,
@@ -53,20 +54,28 @@ pub struct Look {
     pub painted: bool,
     pub glows: bool,
     pub hides_back_faces: bool,
+    /// The views show different channels.
+    pub by_channel: bool,
+    /// Not every pixel counts the same.
+    pub is_weighed: bool,
 }
 
-pub const LOOKS: [Look; 7] = [
-    Look {
-        image_size: 64,
-        n_views: 4,
-        shading: Shading::Flat,
-        projection: Projection::Perspective,
-        interior_views: 0,
-        coloured: false,
-        painted: false,
-        glows: false,
-        hides_back_faces: false,
-    },
+const PLAIN: Look = Look {
+    image_size: 64,
+    n_views: 4,
+    shading: Shading::Flat,
+    projection: Projection::Perspective,
+    interior_views: 0,
+    coloured: false,
+    painted: false,
+    glows: false,
+    hides_back_faces: false,
+    by_channel: false,
+    is_weighed: false,
+};
+
+pub const LOOKS: [Look; 10] = [
+    PLAIN,
     Look {
         image_size: 128,
         n_views: 6,
@@ -77,6 +86,8 @@ pub const LOOKS: [Look; 7] = [
         painted: false,
         glows: false,
         hides_back_faces: false,
+        by_channel: false,
+        is_weighed: false,
     },
     Look {
         image_size: 104,
@@ -88,6 +99,8 @@ pub const LOOKS: [Look; 7] = [
         painted: false,
         glows: false,
         hides_back_faces: false,
+        by_channel: false,
+        is_weighed: false,
     },
     Look {
         image_size: 256,
@@ -99,6 +112,8 @@ pub const LOOKS: [Look; 7] = [
         painted: false,
         glows: false,
         hides_back_faces: false,
+        by_channel: false,
+        is_weighed: false,
     },
     Look {
         image_size: 128,
@@ -110,6 +125,8 @@ pub const LOOKS: [Look; 7] = [
         painted: true,
         glows: false,
         hides_back_faces: true,
+        by_channel: false,
+        is_weighed: false,
     },
     Look {
         image_size: 64,
@@ -121,7 +138,36 @@ pub const LOOKS: [Look; 7] = [
         painted: true,
         glows: false,
         hides_back_faces: true,
+        by_channel: false,
+        is_weighed: false,
     },
+    Look {
+        image_size: 64,
+        n_views: 6,
+        shading: Shading::Smooth,
+        projection: Projection::Perspective,
+        interior_views: 3,
+        coloured: true,
+        painted: true,
+        glows: false,
+        hides_back_faces: false,
+        by_channel: true,
+        is_weighed: false,
+    },
+    Look {
+        image_size: 104,
+        n_views: 6,
+        shading: Shading::Flat,
+        projection: Projection::Perspective,
+        interior_views: 0,
+        coloured: false,
+        painted: true,
+        glows: false,
+        hides_back_faces: false,
+        by_channel: false,
+        is_weighed: true,
+    },
+    Look { is_weighed: true, ..PLAIN },
     Look {
         image_size: 128,
         n_views: 6,
@@ -132,6 +178,8 @@ pub const LOOKS: [Look; 7] = [
         painted: true,
         glows: true,
         hides_back_faces: false,
+        by_channel: true,
+        is_weighed: false,
     },
 ];
 
@@ -139,6 +187,17 @@ pub const LOOKS: [Look; 7] = [
 pub fn scene(n: usize, look: Look) -> Scene {
     let (positions, faces) = bumpy_sphere(n);
     scene_of(positions, faces, look)
+}
+
+/// Its pictures, and where pixels have weights, any.
+pub fn reference(scene: &Scene, look: Look) -> Reference {
+    let mut reference = raster::reference(scene);
+    if look.is_weighed {
+        let weight = |k: u32| (k.wrapping_mul(2_654_435_761) >> 28) as u8 + 1;
+        let weigh = |p: &Vec<u8>| (0..p.len() as u32).map(weight).collect();
+        reference.weights = reference.pictures.iter().map(weigh).collect();
+    }
+    reference
 }
 
 /// The scene of any triangles.
@@ -152,6 +211,8 @@ pub fn scene_of(positions: Vec<DVec3>, faces: Vec<[u32; 3]>, look: Look) -> Scen
     let mut views = cameras(&BoundingSphere::of(positions.iter().copied()), &view_params);
     // Not every view counts as much.
     views.iter_mut().zip([3, 1, 0]).for_each(|(view, weight)| view.weight = weight);
+    let n_channels = if look.by_channel { 3 } else { 1 };
+    views.iter_mut().zip((0..n_channels).cycle()).for_each(|(view, k)| view.channel = k);
     let params = RenderParams {
         image_size: look.image_size,
         shading: look.shading,
@@ -161,30 +222,41 @@ pub fn scene_of(positions: Vec<DVec3>, faces: Vec<[u32; 3]>, look: Look) -> Scen
         hides_back_faces: look.hides_back_faces,
     };
     let albedo = |f: usize| if look.coloured { [(f * 7 % 256) as u8, 255, 90] } else { [255; 3] };
+    let channels = |albedo: u8| [albedo, 255 - albedo, albedo / 2];
     let surface = |f: usize, corners: [u32; 3]| Surface {
         is_unlit: look.painted && f.is_multiple_of(7),
         is_single_sided: !f.is_multiple_of(3),
-        albedo: albedo(f),
-        paint: look.painted.then(|| paint(f, corners.map(|v| positions[v as usize]))),
+        albedo: albedo(f).map(channels),
+        paint: look.painted.then(|| {
+            let paint = paint(f, corners.map(|v| positions[v as usize]));
+            Paint { map: paint.map * u32::from(n_channels), ..paint }
+        }),
     };
     let faces = faces.into_iter().enumerate();
     let faces =
         faces.map(|(f, v)| Some(SceneFace { vertices: v, surface: surface(f, v) })).collect();
-    Scene::new(params, views, Arc::new(texels(look.glows)), positions, faces)
+    Scene::new(params, views, Arc::new(texels(u32::from(n_channels), look.glows)), positions, faces)
 }
 
 /// Four textures: a repeated one, one that is not square and held at its edges along one axis, one with holes that a
-/// threshold makes, and one that is dithered. If it `glows`, the first and the last give something off.
-fn texels(glows: bool) -> Texels {
+/// threshold makes, and one that is dithered; each of so many channels. If it
+/// `glows`, the first and the last give something off.
+fn texels(n_channels: u32, glows: bool) -> Texels {
     let noise = |k: u32| (k.wrapping_mul(2_654_435_761) >> 24) as u8;
-    let some = |n: u32| (0..n).map(noise).collect::<Vec<u8>>();
-    let glow = |n: u32| glows.then(|| (n..2 * n).map(noise).collect());
     let mut texels = Texels::default();
-    texels.add([6, 6], some(64 * 64), [false; 2], None, glow(64 * 64));
-    texels.add([5, 3], some(32 * 8), [true, false], None, None);
-    for (sieve, glow) in [(Sieve::Below(100), None), (Sieve::Dithered, glow(16 * 16))] {
+    let mut add = |bits: [u32; 2], is_clamped, alpha: Option<Alpha>, glows: bool| {
+        for from in (0..n_channels).map(|channel| 1000 * channel) {
+            let n = 1 << (bits[0] + bits[1]);
+            let some = |from: u32| (from..from + n).map(noise).collect::<Vec<u8>>();
+            let glow = glows.then(|| some(from + n));
+            texels.add(bits, some(from), is_clamped, alpha.clone(), glow);
+        }
+    };
+    add([6, 6], [false; 2], None, glows);
+    add([5, 3], [true, false], None, false);
+    for (sieve, glows) in [(Sieve::Below(100), false), (Sieve::Dithered, glows)] {
         let alpha = Alpha { values: (7..16 * 16 + 7).map(noise).collect(), sieve };
-        texels.add([4, 4], some(16 * 16), [false; 2], Some(alpha), glow);
+        add([4, 4], [false; 2], Some(alpha), glows);
     }
     texels
 }
@@ -315,7 +387,7 @@ fn check(make: &dyn Fn(&Scene, Reference) -> Box<dyn Evaluator>, look: Look, n_e
     runner
         .run(&picks, |picks| {
             let mut scene = scene(12, look);
-            let reference = raster::reference(&scene);
+            let reference = reference(&scene, look);
             let mut evaluator = make(&scene, reference.clone());
             prop_assert_eq!(evaluator.energy(), 0);
             for (step, (pick, offset)) in picks.into_iter().enumerate() {
@@ -410,7 +482,7 @@ fn ten_thousand_edits_equal_a_full_re_render() {
 #[test]
 fn fragment_lists_hold_what_a_re_render_puts_there() {
     let scene = scene(6, LOOKS[0]);
-    let mut lists = super::fragments::FragmentLists::new(64, 128, &[0; 64 * 64]);
+    let mut lists = super::fragments::FragmentLists::new(64, 128, (&[0; 64 * 64], None));
     let mut expected = vec![Vec::new(); 64 * 64];
     raster::for_each_fragment(&scene, 0, |_| true, &mut |i, j, f| {
         lists.insert(i, j, f);

@@ -45,9 +45,42 @@ pub trait Evaluator: Send {
     fn picture(&mut self, scene: &Scene, view: usize) -> Result<Vec<u8>, RenderError>;
 }
 
+/// How much a pixel counts at most, where not all count the same.
+pub const FULL_WEIGHT: u8 = 16;
+
 /// Reference pictures of the original, one a view, row by row, 8-bit luminance.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Reference {
     /// `image_size`² luminances for each view.
     pub pictures: Vec<Vec<u8>>,
+    /// How often each pixel's squared difference counts, 1 to [`FULL_WEIGHT`], as many for each view; no pictures
+    /// where all count once.
+    pub weights: Vec<Vec<u8>>,
+}
+
+impl Reference {
+    /// Pictures whose pixels all count once.
+    pub fn plain(pictures: Vec<Vec<u8>>) -> Self {
+        Self { pictures, weights: Vec::new() }
+    }
+
+    /// The weights of a view's pixels, where they have some.
+    pub fn weights_in(&self, view: usize) -> Option<&[u8]> {
+        self.weights.get(view).map(Vec::as_slice)
+    }
+
+    /// What a pixel counts at most.
+    pub fn full_weight(&self) -> u8 {
+        if self.weights.is_empty() { 1 } else { FULL_WEIGHT }
+    }
+
+    /// Sum over one view of the squared differences of these luminances, as often as each pixel counts.
+    pub fn difference(&self, view: usize, luminances: impl Iterator<Item = u8>) -> u64 {
+        let pairs = self.pictures[view].iter().zip(luminances);
+        let squares = pairs.map(|(r, l)| u64::from(r.abs_diff(l)).pow(2));
+        match self.weights_in(view) {
+            None => squares.sum(),
+            Some(weights) => squares.zip(weights).map(|(s, w)| s * u64::from(*w)).sum(),
+        }
+    }
 }

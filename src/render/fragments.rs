@@ -5,7 +5,8 @@
 //!    fragments beyond the dense layers are in `deep`, sorted too, and only where the dense layers
 //!    are full;
 //! 2. `bounds` are up to date with the fronts;
-//! 3. the reference picture lies in the blocks of layer 0 and never changes.
+//! 3. the reference picture lies in the blocks of layer 0, the weights of its pixels in those of layer 1, and neither
+//!    ever changes.
 //!
 //! Pixels come in blocks of 4 × 2, one cache line a block and layer: judging a move reads the
 //! fronts of whole blocks, the second layer where a front goes, and the deeper ones hardly ever.
@@ -41,7 +42,7 @@ pub struct Block {
     pub depth: [u16; LANES],
     /// 8-bit luminances.
     pub lum: [u8; LANES],
-    /// Luminances of the reference picture (layer 0 only).
+    /// Layer 0: luminances of the reference picture. Layer 1: how often each pixel counts.
     pub reference: [u8; LANES],
 }
 
@@ -94,12 +95,17 @@ pub struct FragmentLists {
     bounds: TileBounds,
     size: i32,
     background: Cell,
+    is_weighed: bool,
 }
 
 impl FragmentLists {
-    /// Lists of an empty picture, beside the reference picture (row by row). `size` is a multiple
-    /// of 8.
-    pub fn new(size: i32, background_lum: u8, reference: &[u8]) -> Self {
+    /// Lists of an empty picture, beside the reference picture (row by row) and the weights of its pixels, where
+    /// not all count once. `size` is a multiple of 8.
+    pub fn new(
+        size: i32,
+        background_lum: u8,
+        (reference, weights): (&[u8], Option<&[u8]>),
+    ) -> Self {
         let background = Cell { z: u16::MAX, lum: background_lum, face: NO_FACE };
         let empty = Block {
             face: [NO_FACE; LANES],
@@ -114,10 +120,12 @@ impl FragmentLists {
             bounds: TileBounds::new(size),
             size,
             background,
+            is_weighed: weights.is_some(),
         };
         for (pixel, lum) in reference.iter().enumerate() {
             let (block, lane) = lists.locate(pixel as i32 % size, pixel as i32 / size);
             lists.layers[0][block].reference[lane] = *lum;
+            lists.layers[1][block].reference[lane] = weights.map_or(1, |w| w[pixel]);
         }
         lists
     }
@@ -158,6 +166,18 @@ impl FragmentLists {
     #[inline(always)]
     pub fn seconds(&self) -> &[Block] {
         &self.layers[1]
+    }
+
+    /// Whether some pixels count more than once.
+    #[inline(always)]
+    pub fn is_weighed(&self) -> bool {
+        self.is_weighed
+    }
+
+    /// How often the pixels of a block count.
+    #[inline(always)]
+    pub fn weights(&self, block: usize) -> &[u8; LANES] {
+        &self.seconds()[block].reference
     }
 
     /// The nearest fragment from the given layer on whose triangle passes `keep`.
@@ -261,7 +281,7 @@ mod tests {
 
     #[test]
     fn deep_stacks_come_back_in_order_whatever_is_taken_out() {
-        let mut lists = FragmentLists::new(8, 7, &[0; 64]);
+        let mut lists = FragmentLists::new(8, 7, (&[0; 64], None));
         // Twenty sheets entered out of order; ties in depth fall to the lower id.
         let sheet = |face: u32| Fragment { z: (face / 2) as u16, lum: face as u8, face };
         for face in (0..20).map(|i| i * 7 % 20) {

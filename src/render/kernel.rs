@@ -125,5 +125,5 @@ pub(super) fn pixel_delta(
     let wins = key != NOTHING && (key >> 16, of.setups[rank].0) < (u32::from(stay.z), stay.face);
     let lum = if wins { key as u8 } else { stay.lum };
     let square = |l: u8| i64::from(l.abs_diff(front.reference[lane])).pow(2);
-    square(lum) - square(front.lum[lane])
+    i64::from(of.lists.weights(block)[lane]) * (square(lum) - square(front.lum[lane]))
 }

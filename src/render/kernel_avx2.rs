@@ -33,7 +33,11 @@ pub fn delta(of: &Judged<'_>, scratch: &mut Scratch) -> i64 {
     scratch.removed.extend(of.removed.iter().map(|id| [*id; LANES]));
     let (mut sum, mut first) = (0, of.lists.block_index(blocks.x0, blocks.y0));
     for coming in scratch.keys.chunks_exact(width) {
-        sum += resolve_row(of, &scratch.removed, first, coming);
+        sum += if of.lists.is_weighed() {
+            resolve_row::<true>(of, &scratch.removed, first, coming)
+        } else {
+            resolve_row::<false>(of, &scratch.removed, first, coming)
+        };
         first += of.lists.blocks_per_row() as usize;
     }
     sum
@@ -130,7 +134,7 @@ impl Affine {
 
 /// The change of energy of one row of blocks, the first of which is block `first` of the picture.
 #[target_feature(enable = "avx2")]
-fn resolve_row(
+fn resolve_row<const IS_WEIGHED: bool>(
     of: &Judged<'_>,
     removed: &[[u32; LANES]],
     first: usize,
@@ -138,7 +142,7 @@ fn resolve_row(
 ) -> i64 {
     let fronts = &of.lists.fronts()[first..][..coming.len()];
     let nothing = _mm256_set1_epi32(NOTHING as i32);
-    // Each lane adds up a row of at most 256 blocks: less than 2^24.
+    // Each lane adds up a row of at most 256 blocks: less than 2^24, or 2^28 where pixels have weights.
     let (mut sums, mut odd) = (_mm256_setzero_si256(), 0);
     for (k, (front, key)) in fronts.iter().zip(coming).enumerate() {
         let gone = among(&front.face, removed);
@@ -161,7 +165,10 @@ fn resolve_row(
         let lum = _mm256_and_si256(key, _mm256_set1_epi32(0xff));
         let lum = _mm256_blendv_epi8(stay_lum, lum, wins);
         let closer = or(second_gone, ties);
-        let change = _mm256_sub_epi32(square(lum, front), square(luminances(front.lum), front));
+        let mut change = _mm256_sub_epi32(square(lum, front), square(luminances(front.lum), front));
+        if IS_WEIGHED {
+            change = _mm256_mullo_epi32(change, luminances(*of.lists.weights(first + k)));
+        }
         sums = _mm256_add_epi32(sums, _mm256_andnot_si256(closer, change));
         if _mm256_testz_si256(closer, closer) == 0 {
             odd += look_closer(of, first + k, closer, [gone, second_gone], key);

@@ -27,7 +27,7 @@ pub mod view;
 
 pub use choose::{Choice, choose, make_evaluator};
 pub use device::{AdapterInfo, adapters};
-pub use evaluator::{Evaluator, Reference, RenderError};
+pub use evaluator::{Evaluator, FULL_WEIGHT, Reference, RenderError};
 pub use moves::{AddedFace, MAX_MOVE_VERTICES, Move};
 pub use nearest::{NOTHING, Nearest};
 pub use paint::{Alpha, Paint, Painted, Sieve, Texels};

@@ -148,11 +148,9 @@ impl Projected {
     pub fn set_up(&self, scene: &Scene, mv: &Move, k: usize, view: usize) -> Option<Setup> {
         let points = self.added_points(k, view);
         let surface = &mv.added[k].surface;
-        let lum = if surface.is_unlit {
-            surface.albedo
-        } else {
-            self.added_luminance(scene, surface.albedo, k, view)
-        };
+        let albedo = surface.albedo_in(&scene.views[view]);
+        let lum =
+            if surface.is_unlit { albedo } else { self.added_luminance(scene, albedo, k, view) };
         let mut setup = scene.lattice.setup(points, lum, scene.cull(view, surface))?;
         if let Some(paint) = &surface.paint {
             let shown = (points, self.places[k]);

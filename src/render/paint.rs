@@ -1,6 +1,7 @@
 //! Textured surfaces, in integers.
 //!
-//! A texture is a pyramid of luminances, each level half as wide and high as the one before. The host chooses
+//! A texture is a pyramid of luminances (or three, one a channel), each level half as wide and high as the one before.
+//! The host chooses
 //! the level of a triangle in a view, so that a texel is about a pixel wide there (a coarse picture must not
 //! alias), and prepares what is affine in the picture ([`Painted`]); what remains for each pixel is one division
 //! and one look at four neighbouring texels, in arithmetic that the native twin and the kernels share.
@@ -82,7 +83,7 @@ pub struct Alpha {
 /// A texture on a triangle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Paint {
-    /// Number of the texture in [`Texels`].
+    /// Number of the texture in [`Texels`]; views of further channels see the ones that follow.
     pub map: u32,
     /// Coordinates at each corner; the texture covers 0..1, downwards and to the right.
     pub uv: [[f32; 2]; 3],
@@ -203,7 +204,7 @@ impl Texels {
         (points, corners): ([ScreenPoint; 3], [DVec3; 3]),
         paint: &Paint,
     ) -> Option<Painted> {
-        let map = self.maps.get(paint.map as usize)?;
+        let map = self.maps.get(paint.map as usize + usize::from(view.channel))?;
         let uv = paint.uv.map(|c| c.map(f64::from));
         let (level, place) = map.level_for(lattice, view, corners, uv);
         let distances = corners.map(|p| view.distance(p));

@@ -42,7 +42,7 @@ pub fn reference_and_seen(scene: &Scene) -> (Reference, Vec<bool>) {
         shade(scene, view, &nearest)
     };
     let pictures = (0..scene.n_views()).into_par_iter().map(draw).collect();
-    (Reference { pictures }, seen.into_iter().map(AtomicBool::into_inner).collect())
+    (Reference::plain(pictures), seen.into_iter().map(AtomicBool::into_inner).collect())
 }
 
 /// The picture of one view: 8-bit luminance, row by row from the top.
@@ -139,11 +139,11 @@ pub fn fragment(s: &Setup, texels: &[u32], face: u32, i: i32, j: i32) -> Fragmen
     Fragment { z: s.depth.at(i, j, DEPTH_BITS) as u16, lum: s.lum_at(texels, i, j), face }
 }
 
-/// Sum over all pictures of the squared difference to the reference, each as often as its view counts.
+/// Sum over all pictures of the squared difference to the reference, each as often as its view and its
+/// pixel count.
 pub fn energy(views: &[View], reference: &Reference, pictures: &[Vec<u8>]) -> u64 {
-    let square = |a: u8, b: u8| u64::from(a.abs_diff(b)).pow(2);
-    let of_view = |(view, (r, p)): (&View, (&Vec<u8>, &Vec<u8>))| {
-        u64::from(view.weight) * r.iter().zip(p).map(|(a, b)| square(*a, *b)).sum::<u64>()
+    let of_view = |(k, (view, picture)): (usize, (&View, &Vec<u8>))| {
+        u64::from(view.weight) * reference.difference(k, picture.iter().copied())
     };
-    views.iter().zip(reference.pictures.iter().zip(pictures)).map(of_view).sum()
+    views.iter().zip(pictures).enumerate().map(of_view).sum()
 }

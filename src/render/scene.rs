@@ -46,9 +46,9 @@ pub struct RenderParams {
 /// What a triangle's light falls on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Surface {
-    /// Albedo luminance at each corner.
-    pub albedo: [u8; 3],
-    /// A texture, whose luminance multiplies the albedo.
+    /// Albedo at each corner, by channel (see [`View::channel`]).
+    pub albedo: [[u8; 3]; 3],
+    /// A texture, which multiplies the albedo.
     pub paint: Option<Paint>,
     /// As bright from everywhere: no light falls on it.
     pub is_unlit: bool,
@@ -59,7 +59,13 @@ pub struct Surface {
 impl Surface {
     /// The same everywhere.
     pub const WHITE: Self =
-        Self { albedo: [255; 3], paint: None, is_unlit: false, is_single_sided: false };
+        Self { albedo: [[255; 3]; 3], paint: None, is_unlit: false, is_single_sided: false };
+
+    /// Albedo at each corner, as a view sees it.
+    #[inline(always)]
+    pub fn albedo_in(&self, view: &View) -> [u8; 3] {
+        self.albedo.map(|corner| corner[usize::from(view.channel)])
+    }
 
     /// Takes corner `from` of another surface as corner `k`.
     pub fn set_corner(&mut self, k: usize, other: &Self, from: usize) {
@@ -200,16 +206,17 @@ impl Scene {
 
     /// Luminances at the corners of a triangle that is in the scene.
     pub fn face_luminance(&self, view: usize, face: &SceneFace) -> [u8; 3] {
+        let albedo = face.surface.albedo_in(&self.views[view]);
         if face.surface.is_unlit {
-            return face.surface.albedo;
+            return albedo;
         }
         let p = face.vertices.map(|v| self.positions[v as usize]);
         let shape = FaceShape::new(p);
         match self.params.shading {
-            Shading::Flat => self.flat_luminance(view, &shape, face.surface.albedo),
+            Shading::Flat => self.flat_luminance(view, &shape, albedo),
             Shading::Smooth => {
                 let n = face.vertices.map(|v| self.normals[v as usize]);
-                self.smooth_luminance(view, &shape, p, n, face.surface.albedo)
+                self.smooth_luminance(view, &shape, p, n, albedo)
             }
         }
     }

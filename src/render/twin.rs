@@ -35,10 +35,8 @@ struct ViewState {
 impl Twin {
     /// Renders the scene and gets ready to judge moves.
     pub fn new(scene: &Scene, reference: &Reference) -> Self {
-        let view = |v| ViewState {
-            lists: build_lists(scene, v, &reference.pictures[v]),
-            scratch: Scratch::default(),
-        };
+        let view =
+            |v| ViewState { lists: build_lists(scene, v, reference), scratch: Scratch::default() };
         let views: Vec<_> = (0..scene.n_views()).into_par_iter().map(view).collect();
         let pictures: Vec<_> = views.iter().map(|v| v.lists.picture()).collect();
         let energy = raster::energy(&scene.views, reference, &pictures);
@@ -53,9 +51,10 @@ impl Twin {
     }
 }
 
-fn build_lists(scene: &Scene, view: usize, reference: &[u8]) -> FragmentLists {
+fn build_lists(scene: &Scene, view: usize, reference: &Reference) -> FragmentLists {
     let size = scene.lattice.size;
-    let mut lists = FragmentLists::new(size, scene.params.background, reference);
+    let shown = (&*reference.pictures[view], reference.weights_in(view));
+    let mut lists = FragmentLists::new(size, scene.params.background, shown);
     raster::for_each_fragment(scene, view, |_| true, &mut |i, j, f| lists.insert(i, j, f));
     lists.refresh_tiles(&PixelRect { x0: 0, y0: 0, x1: size - 1, y1: size - 1 });
     lists
@@ -188,7 +187,7 @@ fn judged<'a>(
 
 #[cfg(test)]
 mod tests {
-    use super::super::{contract, raster::reference};
+    use super::super::contract;
     use super::*;
 
     /// The kernel that this machine uses, against the plain one, pixel kernels being the only part
@@ -197,7 +196,7 @@ mod tests {
     fn both_kernels_agree() {
         for look in contract::LOOKS {
             let scene = contract::scene(9, look);
-            let mut twin = Twin::new(&scene, &reference(&scene));
+            let mut twin = Twin::new(&scene, &contract::reference(&scene, look));
             let mut n_seen = 0;
             for k in 0..60 {
                 let offset = glam::DVec3::new(0.05, -0.03, 0.01) * (k % 4) as f64;

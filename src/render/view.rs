@@ -58,6 +58,8 @@ pub struct View {
     pub projection: Projection,
     /// How often its picture counts in energies.
     pub weight: u32,
+    /// Which channel of the surfaces' colours it shows: 0 where that is luminance, else red, green, blue (0 to 2).
+    pub channel: u8,
     /// Half-pictures per unit of x/w (perspective) or of x (orthographic).
     focal: f64,
     /// Distance from the eye to the nearest and the farthest point of the sphere.
@@ -92,6 +94,12 @@ impl View {
             Projection::Orthographic => (self.focal, (w - self.near) / (self.far - self.near)),
         };
         PicturePoint { x: 0.5 + 0.5 * x * scale, y: 0.5 - 0.5 * y * scale, depth }
+    }
+
+    /// The same camera, which shows another channel.
+    #[must_use]
+    pub fn in_channel(self, channel: u8) -> Self {
+        Self { channel, ..self }
     }
 
     /// How far a point lies in front of the eye along the viewing direction, for the perspective of what is
@@ -173,6 +181,7 @@ pub fn camera(
         to_light: back * light_cos + side * light_sin,
         projection: params.projection,
         weight: 1,
+        channel: 0,
         focal,
         near: distance - sphere.radius,
         far: distance + sphere.radius,

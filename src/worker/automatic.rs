@@ -1,5 +1,5 @@
-//! What a specification leaves to the model: topology, the size of the pictures, and where image-driven
-//! simplification begins. Rules are tables; `report.json` says what was chosen, and why (`chosen.rs`).
+//! What a specification leaves to the model: topology, the size of the pictures, where image-driven simplification
+//! begins, and whether colours need pictures of their own. Rules are tables; `report.json` says what was chosen, and why (`chosen.rs`).
 //!
 //! Measured at effort fast on ten models at a quarter, a tenth, 3% and 1% of their triangles; unseen d2 as a share of
 //! that with 256² and 4 times the finest level, geometric means, and what it costs in processor time:
@@ -35,7 +35,7 @@
 
 use crate::{
     io::IngestReport,
-    jobs::spec::{Effort, Method, Spec, Topology},
+    jobs::spec::{Effort, Method, Metric, Spec, Topology},
 };
 
 /// What a specification is settled by.
@@ -46,6 +46,8 @@ pub(super) struct Model<'a> {
     pub n_triangles: usize,
     /// Triangles of what some tool has simplified it to.
     pub n_simplified: Option<usize>,
+    /// Whether there is anything but greys to be seen, on either; asked only where that matters.
+    pub shows_colours: bool,
 }
 
 /// What suits a kind of model.
@@ -84,6 +86,9 @@ impl Model<'_> {
         let mut spec = asked.clone().resolved(self.n_triangles);
         if spec.topology == Topology::Auto {
             spec.topology = self.topology();
+        }
+        if spec.render.metric == Metric::Rgb && !self.shows_colours {
+            spec.render.metric = Metric::Luminance;
         }
         if spec.render.image_size == 0 {
             spec.render.image_size = self.image_size(&spec);
@@ -190,7 +195,7 @@ mod tests {
     }
 
     fn check(report: &IngestReport, spec: &Spec, wanted: (u32, f64)) {
-        let model = Model { report, n_triangles: 70_000, n_simplified: None };
+        let model = Model { report, n_triangles: 70_000, n_simplified: None, shows_colours: false };
         let found = model.settle(spec);
         assert_eq!((found.render.image_size, found.start_factor), wanted, "{:?}", spec.triangles);
     }
@@ -232,6 +237,22 @@ mod tests {
     }
 
     #[test]
+    fn greys_need_no_pictures_of_their_colours() {
+        let report = report(1, false);
+        for (shows_colours, asked, wanted) in [
+            (false, Metric::Rgb, Metric::Luminance),
+            (true, Metric::Rgb, Metric::Rgb),
+            (true, Metric::Luminance, Metric::Luminance),
+        ] {
+            let mut spec = Spec::new(vec![500]);
+            spec.render.metric = asked;
+            let model =
+                Model { report: &report, n_triangles: 70_000, n_simplified: None, shows_colours };
+            assert_eq!(model.settle(&spec).render.metric, wanted);
+        }
+    }
+
+    #[test]
     fn fewer_views_are_larger_and_geometry_needs_few_pixels() {
         let mut spec = Spec::new(vec![1_400]);
         spec.render.n_views = 6;
@@ -245,7 +266,9 @@ mod tests {
     #[test]
     fn a_mesh_that_came_simplified_is_the_finest_level() {
         let report = report(1, false);
-        let model = Model { report: &report, n_triangles: 70_000, n_simplified: Some(2_000) };
+        let n_simplified = Some(2_000);
+        let model =
+            Model { report: &report, n_triangles: 70_000, n_simplified, shows_colours: false };
         assert_eq!(model.settle(&Spec::new(Vec::new())).render.image_size, 512);
     }
 }

@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use crate::{
     io::IngestReport,
-    jobs::spec::{Effort, Method, Spec, Topology},
+    jobs::spec::{Effort, Method, Metric, Spec, Topology},
 };
 
 use super::{automatic::Model, budget};
@@ -21,6 +21,7 @@ struct Choice<T> {
 pub(super) struct Chosen {
     image_size: Choice<u32>,
     views: Choice<usize>,
+    metric: Choice<Metric>,
     effort: Choice<Effort>,
     start_factor: Choice<f64>,
     topology: Choice<Topology>,
@@ -50,6 +51,7 @@ impl Chosen {
         Self {
             image_size: image_size(spec, facts),
             views: plain(views, usual.view_count()),
+            metric: metric(spec, facts),
             effort: plain(spec.effort, default.effort),
             start_factor: start_factor(spec, facts),
             topology: topology(spec, model, facts),
@@ -69,6 +71,16 @@ fn image_size(spec: &Spec, facts: &Facts<'_>) -> Choice<u32> {
     let is_asked = facts.asked.render.image_size > 0;
     let why = if is_asked { "asked".into() } else { facts.model.why_image_size(spec) };
     Choice { value: spec.render.image_size, why }
+}
+
+fn metric(spec: &Spec, facts: &Facts<'_>) -> Choice<Metric> {
+    let (value, asked) = (spec.render.metric, facts.asked.render.metric);
+    if value == asked {
+        return plain(value, Metric::default());
+    }
+    let why =
+        "asked was rgb: the model shows nothing but greys, whose channels are as their luminance";
+    Choice { value, why: why.into() }
 }
 
 fn start_factor(spec: &Spec, facts: &Facts<'_>) -> Choice<f64> {
@@ -129,7 +141,8 @@ mod tests {
             "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 5\nv 1 0 5\nv 0 1 5\nv 0 0 9\nv 1 0 9\nv 0 1 9\n";
         let text = points.to_owned() + "f 1 2 3\nf 4 5 6\nf 7 8 9\n";
         let model = io::read("a.obj", text.as_bytes(), &io::Limits::default()).unwrap().report;
-        let settled = Model { report: &model, n_triangles: 70_000, n_simplified: None };
+        let (n_triangles, n_simplified) = (70_000, None);
+        let settled = Model { report: &model, n_triangles, n_simplified, shows_colours: false };
         let facts = Facts { asked, n_locked: 0, n_optimized: 500, model: &settled };
         serde_json::to_value(Chosen::of(&settled.settle(&spec), &model, &facts)).unwrap()
     }
@@ -149,6 +162,12 @@ mod tests {
         let why = "default: 200 for each of 500 triangles at effort balanced";
         assert_eq!(found["optimization_evaluations"], json!({ "value": 100_000, "why": why }));
         assert_eq!(found["locked_vertices"], json!({ "value": 0, "why": "default" }));
+        assert_eq!(found["metric"], json!({ "value": "luminance", "why": "default" }));
+        asked.render.metric = Metric::Rgb;
+        let found = chosen(&asked, Topology::Free);
+        assert_eq!(found["metric"]["value"], "luminance");
+        let why = found["metric"]["why"].as_str().unwrap();
+        assert!(why.contains("nothing but greys"), "{why}");
         asked.render.image_size = 128;
         asked.topology = Topology::Preserve;
         asked.optimize = Optimize { until: Some(0.5), ..Optimize::default() };

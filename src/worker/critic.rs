@@ -4,8 +4,10 @@ use crate::{
     compare::{self, Appearance, Look},
     jobs::spec::{self, Spec},
     mesh::Mesh,
-    metric::is_white,
+    metric::{Metric, is_white},
 };
+
+use super::params::metric;
 
 /// How the original and its levels are drawn: as the run-time pictures are.
 pub(super) fn look(spec: &Spec, original: &Mesh) -> Look {
@@ -19,6 +21,11 @@ pub(super) fn look(spec: &Spec, original: &Mesh) -> Look {
         ambient: render.ambient,
         background: render.background,
         hides_back_faces: render.hide_back_faces,
+        metric: match metric(render.metric) {
+            // Figures of jobs that differ in what hides differences can be compared.
+            Metric::Perceptual => Metric::Luminance,
+            other => other,
+        },
         ..Look::default()
     }
 }

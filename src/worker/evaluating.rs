@@ -28,7 +28,7 @@ use crate::{
     metric::surface::SurfaceParams,
 };
 
-use super::{pipeline::PipelineError, progress::Progress, recorder::announcement};
+use super::{params::metric, pipeline::PipelineError, progress::Progress, recorder::announcement};
 
 /// Parts of a job's time, about.
 const PARTS: [(Part, f64); 3] =
@@ -45,6 +45,7 @@ pub fn params(evaluate: &Evaluate) -> compare::Params {
         },
         appearance: if evaluate.colours { Appearance::Coloured } else { Appearance::White },
         hides_back_faces: evaluate.hide_back_faces,
+        metric: metric(evaluate.metric),
         ..Look::default()
     };
     compare::Params {

@@ -7,7 +7,7 @@ use crate::{
     jobs::spec::{self, Effort, Lock, Projection, Shading, Spec},
     memoryless,
     mesh::{Feature, Mesh, Topology},
-    metric::{Pictures, bounding_sphere, energy_of_d2},
+    metric::{Metric, Pictures, bounding_sphere, energy_of_d2},
     optimize,
     render::{
         self, RenderParams,
@@ -62,6 +62,15 @@ pub fn image(spec: &Spec) -> simplify::Params {
         search_rounds,
         max_evaluations: spec.max_evaluations,
         max_energy: None,
+    }
+}
+
+/// By what pictures are compared.
+pub fn metric(metric: spec::Metric) -> Metric {
+    match metric {
+        spec::Metric::Luminance => Metric::Luminance,
+        spec::Metric::Rgb => Metric::Rgb,
+        spec::Metric::Perceptual => Metric::Perceptual,
     }
 }
 
@@ -171,7 +180,8 @@ pub fn descents_pay(spec: &Spec, n_faces: usize) -> bool {
 pub fn n_view_sets(spec: &Spec, budget: &Budget, n_faces: usize) -> usize {
     let n_sets = rota_of(spec, budget).n_sets;
     let n_sets = if descents_pay(spec, n_faces) { n_sets } else { n_sets.min(1 + N_JUDGES) };
-    (VIEW_SET_BYTES / n_pixels(spec).max(1)).clamp(1, n_sets)
+    let n_bytes = n_pixels(spec) * metric(spec.render.metric).n_bytes();
+    (VIEW_SET_BYTES / n_bytes.max(1)).clamp(1, n_sets)
 }
 
 /// Pixels of all run-time views.
@@ -179,13 +189,13 @@ pub fn n_pixels(spec: &Spec) -> usize {
     spec.render.view_count() * (spec.render.image_size as usize).pow(2)
 }
 
-/// The same as often as they count.
+/// The same as often as they count at most, in all channels.
 pub fn n_counted_pixels(spec: &Spec) -> u64 {
     let weights = &spec.render.view_weights;
     let n_equal = spec.render.view_count() as u64;
     let n_views =
         if weights.is_empty() { n_equal } else { weights.iter().copied().map(u64::from).sum() };
-    n_views * u64::from(spec.render.image_size).pow(2)
+    n_views * metric(spec.render.metric).full_weight() * u64::from(spec.render.image_size).pow(2)
 }
 
 /// Cameras and drawing.
@@ -219,5 +229,5 @@ pub fn pictures(spec: &Spec, original: &Mesh) -> Pictures {
     };
     let mut views = cameras(&bounding_sphere(original), &view_params);
     views.iter_mut().zip(&r.view_weights).for_each(|(view, weight)| view.weight = *weight);
-    Pictures::of(original, params, views)
+    Pictures::by_metric(original, params, views, metric(spec.render.metric))
 }

@@ -6,6 +6,7 @@
 //! 2. every accepted edit is recorded once, in order, in the stream and in `progressive.lkpm`.
 
 use std::{
+    iter,
     ops::ControlFlow,
     path::Path,
     sync::{Arc, OnceLock},
@@ -16,10 +17,10 @@ use crate::{
     io::{self, Ingest},
     jobs::{
         event::Report,
-        spec::{Spec, Topology},
+        spec::{Metric, Spec, Topology},
     },
     mesh::{EditMesh, Marks, Mesh, Semantic},
-    metric::{Palette, with_vertex_normals},
+    metric::{Palette, is_grey, with_vertex_normals},
     optimize::OptimizeError,
     progressive::ProgressiveError,
     render::RenderError,
@@ -181,9 +182,13 @@ fn make_levels(
     (device, tape): (&DeviceChoice, &Tape),
     on: &mut dyn FnMut(Report) -> ControlFlow<()>,
 ) -> Result<(), PipelineError> {
-    let ingest = original.report;
     let n_simplified = simplified.as_ref().map(|s| s.mesh.faces.len());
-    let model = Model { report: &ingest, n_triangles: original.mesh.faces.len(), n_simplified };
+    let mut meshes = iter::once(&original).chain(&simplified);
+    let shows_colours =
+        asked.render.metric == Metric::Rgb && !meshes.all(|read| is_grey(&read.mesh));
+    let ingest = original.report;
+    let n_triangles = original.mesh.faces.len();
+    let model = Model { report: &ingest, n_triangles, n_simplified, shows_colours };
     let spec = &model.settle(asked);
     let asked_marks = original.marks;
     let original = prepared(spec, original.mesh);
@@ -203,7 +208,9 @@ fn make_levels(
     let mut figures = Vec::new();
     let pictures = params::pictures(spec, &original);
     let palette = match simplified {
-        Some(_) => Arc::new(Palette::of(&base, spec.render.image_size)),
+        Some(_) => {
+            Arc::new(Palette::of(&base, spec.render.image_size, params::metric(spec.render.metric)))
+        }
         None => pictures.palette.clone(),
     };
     let targets = spec.triangles.iter().filter(|n| **n > 0);

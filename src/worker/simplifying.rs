@@ -248,7 +248,7 @@ impl Descent for ImageDriven<'_, '_> {
             None => (now.energy(), now.d2_percent()),
             Some(mesh) => {
                 let energy = self.studio.energy(mesh);
-                (energy, d2_percent(energy, now.scene().n_counted_pixels()))
+                (energy, d2_percent(energy, now.n_counted_pixels()))
             }
         })
     }

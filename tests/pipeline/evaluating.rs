@@ -10,7 +10,7 @@ use lookalike::{
     io::{Limits, read, write_glb},
     jobs::{
         event::Report,
-        spec::{Evaluate, Input, Shading, Spec},
+        spec::{Evaluate, Input, Metric, Shading, Spec},
     },
     metric::surface::SurfaceParams,
     tape::Tape,
@@ -81,11 +81,13 @@ fn the_figures_are_those_of_compare() {
         hide_back_faces: true,
         stored_normals: true,
         distance: false,
+        metric: Metric::Rgb,
     };
     let look = Look {
         shading: compare::Shading::Smooth,
         appearance: Appearance::Coloured,
         hides_back_faces: true,
+        metric: lookalike::metric::Metric::Rgb,
         ..Look::default()
     };
     let params = compare::Params { look, stored_normals: true, ..compare::Params::default() };

@@ -16,6 +16,7 @@ mod evaluating;
 mod large;
 mod locks;
 mod looks;
+mod metrics;
 mod optimizing;
 mod quality;
 mod resuming;

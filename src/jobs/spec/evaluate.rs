@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::{Fault, Shading, Spec};
+use super::{Fault, Metric, Shading, Spec};
 
 /// How much the simplified mesh looks like the original: pictures in 24 views that no job works with, and distances.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -20,6 +20,9 @@ pub struct Evaluate {
     pub stored_normals: bool,
     /// The distance between the surfaces is measured too.
     pub distance: bool,
+    /// By what pictures are compared.
+    #[serde(skip_serializing_if = "Metric::is_luminance")]
+    pub metric: Metric,
 }
 
 impl Default for Evaluate {
@@ -30,6 +33,7 @@ impl Default for Evaluate {
             hide_back_faces: false,
             stored_normals: false,
             distance: true,
+            metric: Metric::default(),
         }
     }
 }

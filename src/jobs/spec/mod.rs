@@ -75,6 +75,26 @@ pub enum Topology {
     Free,
 }
 
+/// By what pictures are compared.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Metric {
+    /// Squared differences of luminances.
+    #[default]
+    Luminance,
+    /// Squared differences of red, green and blue.
+    Rgb,
+    /// Squared differences of luminances, less where the original is busy.
+    Perceptual,
+}
+
+impl Metric {
+    /// Whether it is the one that specifications need not name.
+    pub fn is_luminance(&self) -> bool {
+        *self == Self::Luminance
+    }
+}
+
 /// Edges whose vertices stay where they are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -116,6 +136,9 @@ pub struct Render {
     /// How much each view counts, 0 to 16, one weight a view; empty: all the same.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub view_weights: Vec<u32>,
+    /// By what pictures are compared.
+    #[serde(skip_serializing_if = "Metric::is_luminance")]
+    pub metric: Metric,
 }
 
 impl Default for Render {
@@ -133,6 +156,7 @@ impl Default for Render {
             interior_views: 0,
             hide_back_faces: false,
             view_weights: Vec::new(),
+            metric: Metric::Luminance,
         }
     }
 }

@@ -134,9 +134,14 @@ impl Builder<'_> {
         self.scene.lattice.size.unsigned_abs().pow(2)
     }
 
-    /// Empties a view's lists and enters its reference picture.
+    /// Empties a view's lists and enters its reference picture and the weights of its pixels.
     fn clear_view(&mut self, lists: &Lists, view: usize) -> Result<(), RenderError> {
-        let mut words = picture_words(&self.reference.pictures[view]);
+        let picture = &self.reference.pictures[view];
+        let mut words = picture_words(picture);
+        match self.reference.weights_in(view) {
+            Some(weights) => words.extend(picture_words(weights)),
+            None => words.extend(picture_words(&vec![1; picture.len()])),
+        }
         self.work.write(self.gpu, self.kernels, &mut words, 0)?;
         let mut encoder = encoder(self.gpu);
         {

@@ -107,7 +107,7 @@ impl Device {
         for view in 0..scene.n_views() {
             let fronts = self.fronts(view)?;
             self.energy += u64::from(scene.views[view].weight)
-                * squared_difference(&self.reference.pictures[view], &fronts);
+                * self.reference.difference(view, fronts.iter().map(|front| (front >> 8) as u8));
             self.refresh_bounds(view, &fronts);
         }
         Ok(())
@@ -425,14 +425,6 @@ impl Order {
         words.extend_from_slice(&packed.data);
         words
     }
-}
-
-fn squared_difference(reference: &[u8], fronts: &[u32]) -> u64 {
-    reference
-        .iter()
-        .zip(fronts)
-        .map(|(r, front)| u64::from(r.abs_diff((front >> 8) as u8)).pow(2))
-        .sum()
 }
 
 #[cfg(test)]

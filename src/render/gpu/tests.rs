@@ -140,7 +140,7 @@ fn device_and_twin_agree_under_flat_shading() {
 
 #[test]
 fn device_and_twin_agree_on_what_glows() {
-    check_against_twin(LOOKS[6], 12, &[1, 7, 64], 3);
+    check_against_twin(LOOKS[9], 12, &[1, 7, 64], 3);
 }
 
 #[test]

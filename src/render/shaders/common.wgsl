@@ -11,7 +11,7 @@ const NIL: u32 = 0xffffffffu;
 const NO_FACE: u32 = 0xfffffffeu;
 const OUTSIDE: u32 = 0xffffffffu;
 const WORKGROUP: u32 = 64u;
-// The result of an item whose loops were cut off; no sum of 256 squares is so low.
+// The result of an item whose loops were cut off; no sum of 256 squares, each up to 16 times, is so low.
 const CUT_OFF: u32 = 0x80000000u;
 // log2 of the input's width in words.
 const INPUT_WIDTH_BITS: u32 = 10u;

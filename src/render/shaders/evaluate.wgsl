@@ -98,8 +98,9 @@ fn evaluate(
         let low = vec4<u32>(0xffu);
         let lum = select(stays >> vec4<u32>(8u), luminances(item, key, i, j), z_comes < z_stays);
         let reference = front & low;
-        let change = square((lum & low) - reference)
-            - square(((front >> vec4<u32>(8u)) & low) - reference);
+        let weight = bitcast<vec4<i32>>(vec4<u32>(a.w, b.w, c.w, d.w) & low);
+        let change = weight * (square((lum & low) - reference)
+            - square(((front >> vec4<u32>(8u)) & low) - reference));
         let shown = (i < vec4<i32>(params.size)) & (j < vec4<i32>(params.size));
         let later = any((unsure | level) & shown);
         let bit = select(0u, 1u << (cell & 31u), later);

@@ -53,7 +53,8 @@ fn change_at(item: Item, at: vec2<i32>) -> i32 {
     if at.x >= params.size || at.y >= params.size {
         return 0;
     }
-    let front = textureLoad(near, at, item.view).y;
+    let first = textureLoad(near, at, item.view);
+    let front = first.y;
     let stays = nearest_that_stays(item, at);
     let comes = nearest_that_comes(item, at);
     let level = comes.y >> 16u == stays.y >> 16u;
@@ -61,7 +62,7 @@ fn change_at(item: Item, at: vec2<i32>) -> i32 {
     let shown = select(stays.y, comes.y, wins);
     let lum = (vec4<u32>(shown, front, 0u, 0u) >> vec4<u32>(8u)) & vec4<u32>(0xffu);
     let squares = square(lum - vec4<u32>(front & 0xffu));
-    return squares.x - squares.y;
+    return i32(first.w & 0xffu) * (squares.x - squares.y);
 }
 
 // A set of at most 64 cells, a bit each.

@@ -28,22 +28,25 @@ struct Pixel {
     view: u32,
 }
 
-// The first four fragments of a pixel, near to far: triangles, and z << 16 | luminance << 8.
+// The first four fragments of a pixel, near to far: triangles, and z << 16 | luminance << 8. Where they lie, the
+// first has the reference's luminance in its lowest byte, and the second the pixel's weight.
 struct Four {
     face: vec4<u32>,
     fragment: vec4<u32>,
     reference: u32,
+    weight: u32,
 }
 
 fn load_four(p: Pixel) -> Four {
     let a = textureLoad(near, p.at, p.view);
     let b = textureLoad(deep, p.at, p.view);
-    let fragment = vec4<u32>(a.y & 0xffffff00u, a.w, b.yw);
-    return Four(vec4<u32>(a.xz, b.xz), fragment, a.y & 0xffu);
+    let fragment = vec4<u32>(a.yw & vec2<u32>(0xffffff00u), b.yw);
+    return Four(vec4<u32>(a.xz, b.xz), fragment, a.y & 0xffu, a.w & 0xffu);
 }
 
 fn store_four(p: Pixel, four: Four) {
-    let a = vec4<u32>(four.face.x, four.fragment.x | four.reference, four.face.y, four.fragment.y);
+    let a = vec4<u32>(four.face.x, four.fragment.x | four.reference, four.face.y,
+        four.fragment.y | four.weight);
     let b = vec4<u32>(four.face.z, four.fragment.z, four.face.w, four.fragment.w);
     textureStore(near, p.at, p.view, a);
     textureStore(deep, p.at, p.view, b);
@@ -62,7 +65,7 @@ fn entered(four: Four, face: u32, fragment: u32) -> Four {
     let shifted_face = select(vec4<u32>(0u, four.face.xyz), vec4<u32>(face), first);
     let shifted = select(vec4<u32>(0u, four.fragment.xyz), vec4<u32>(fragment), first);
     return Four(select(four.face, shifted_face, behind), select(four.fragment, shifted, behind),
-        four.reference);
+        four.reference, four.weight);
 }
 
 // The place behind `place`, NIL at the end of what the pixel has. Places 0 to 3 are the four, 4 and

@@ -102,7 +102,9 @@ fn cell(mv: Move, item: Item, i: i32, j: i32, look_deep: bool) -> Cell {
     let low = vec4<u32>(0xffu);
     let lum = select(stays >> vec4<u32>(8u), key, z_comes < z_stays) & low;
     let reference = front & low;
-    let change = square(lum - reference) - square(((front >> vec4<u32>(8u)) & low) - reference);
+    let weight = bitcast<vec4<i32>>(vec4<u32>(a.w, b.w, c.w, d.w) & low);
+    let change = weight
+        * (square(lum - reference) - square(((front >> vec4<u32>(8u)) & low) - reference));
     let in_x = vec2<bool>(i < params.size, i + 1 < params.size);
     let shown = in_x.xyxy & (vec4<i32>(j, j, j + 1, j + 1) < vec4<i32>(params.size));
     let is_unsure = any((unsure | level) & shown);

@@ -2,8 +2,8 @@
 
 use super::{mesh_hash, mesh_name, v1};
 use crate::jobs::spec::{
-    Effort, Evaluate, Fault, Input, Lock, Method, Optimize, Output, Projection, Render, Shading,
-    Solver, Spec, Topology,
+    Effort, Evaluate, Fault, Input, Lock, Method, Metric, Optimize, Output, Projection, Render,
+    Shading, Solver, Spec, Topology,
 };
 
 const METHODS: [(v1::Method, Method); 3] = [
@@ -39,6 +39,12 @@ const SHADINGS: [(v1::Shading, Shading); 2] =
 const PROJECTIONS: [(v1::Projection, Projection); 2] = [
     (v1::Projection::Perspective, Projection::Perspective),
     (v1::Projection::Orthographic, Projection::Orthographic),
+];
+
+const METRICS: [(v1::Metric, Metric); 3] = [
+    (v1::Metric::Luminance, Metric::Luminance),
+    (v1::Metric::Rgb, Metric::Rgb),
+    (v1::Metric::Perceptual, Metric::Perceptual),
 ];
 
 /// Names on the wire of fields that have another one in [`crate::jobs`], or stand elsewhere.
@@ -125,6 +131,7 @@ fn evaluate_to_wire(evaluate: &Evaluate, input: Option<&Input>) -> v1::EvaluateS
         hide_back_faces: evaluate.hide_back_faces,
         stored_normals: evaluate.stored_normals,
         distance: Some(evaluate.distance),
+        metric: to_wire(&METRICS, evaluate.metric),
     }
 }
 
@@ -162,6 +169,7 @@ fn render_to_wire(render: &Render) -> v1::RenderSpec {
         interior_views: render.interior_views,
         hide_back_faces: render.hide_back_faces,
         view_weights: render.view_weights.clone(),
+        metric: to_wire(&METRICS, render.metric),
     }
 }
 
@@ -258,6 +266,7 @@ fn evaluate_from_wire(wire: v1::EvaluateSpec, faults: &mut Vec<Fault>) -> Spec {
         hide_back_faces: wire.hide_back_faces,
         stored_normals: wire.stored_normals,
         distance: wire.distance.unwrap_or(Evaluate::default().distance),
+        metric: from_wire(&METRICS, wire.metric, "metric", faults),
     };
     Spec::evaluating(input, evaluate)
 }
@@ -293,6 +302,7 @@ fn render_from_wire(wire: &v1::RenderSpec, faults: &mut Vec<Fault>) -> Render {
         interior_views: wire.interior_views,
         hide_back_faces: wire.hide_back_faces,
         view_weights: wire.view_weights.clone(),
+        metric: from_wire(&METRICS, wire.metric, "render.metric", faults),
     }
 }
 
@@ -328,7 +338,7 @@ mod tests {
 
     fn spec() -> impl Strategy<Value = Spec> {
         let numbers = prop::array::uniform6(0.0..1e3f64);
-        let looks = (pick(&SHADINGS), pick(&PROJECTIONS));
+        let looks = (pick(&SHADINGS), pick(&PROJECTIONS), pick(&METRICS));
         let words = (pick(&METHODS), pick(&EFFORTS), pick(&TOPOLOGIES), looks, pick(&SOLVERS));
         let views = prop::collection::vec(prop::array::uniform3(-1.0..1.0f64), 0..3);
         let ratios = prop::collection::vec(0.0..1.0f64, 0..3);
@@ -365,6 +375,7 @@ mod tests {
                     interior_views: n[2],
                     hide_back_faces: n[0] % 2 == 0,
                     view_weights: levels.0,
+                    metric: words.3.2,
                 },
                 optimize: Optimize {
                     max_evaluations: (n[0] > 50).then_some(seed / 3),
@@ -404,6 +415,7 @@ mod tests {
             hide_back_faces: spec.render.hide_back_faces,
             stored_normals: spec.output.compress,
             distance: spec.seed.is_multiple_of(2),
+            metric: spec.render.metric,
         };
         Spec::evaluating(input, evaluate)
     }
