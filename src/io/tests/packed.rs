@@ -102,11 +102,19 @@ fn damaged_ktx2_images_are_named() {
         bytes[20..24].copy_from_slice(&width.to_le_bytes());
         bytes
     };
+    // As much room as that would be made for the level.
+    let unpacked_to = |size: u64| {
+        let mut bytes = KTX2[1].to_vec();
+        bytes[96..104].copy_from_slice(&size.to_le_bytes());
+        bytes
+    };
     for (bytes, said) in [
         (KTX2[0][..24].to_vec(), "header is cut off"),
         (KTX2[0][..100].to_vec(), "it is damaged"),
         (sized(u32::MAX), "over the limit of 16384"),
         (sized(0), "it is damaged"),
+        (unpacked_to(129), "its 16 × 8 pixels take 129 bytes, it says"),
+        (unpacked_to(u64::MAX), "its 16 × 8 pixels take 18446744073709551615 bytes"),
     ] {
         let report = load("a.glb", &ktx2_glb(bytes)).unwrap().report;
         let text: Vec<_> = report.notes.iter().map(|n| (n.code, n.text.as_str())).collect();
