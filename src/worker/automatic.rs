@@ -94,7 +94,8 @@ impl Model<'_> {
             spec.render.image_size = self.image_size(&spec);
         }
         if spec.start_factor == 0.0 {
-            spec.start_factor = self.start_factor(&spec);
+            let are_pictures_asked = asked.render.image_size > 0;
+            spec.start_factor = self.start_factor(&spec, are_pictures_asked);
         }
         spec
     }
@@ -112,16 +113,17 @@ impl Model<'_> {
         if self.report.components > 1 || is_textured { &DRESSED } else { &PLAIN }
     }
 
-    /// Below 1 where levels are finer than pictures show: these are left to geometry, unless pictures are to end one.
-    fn start_factor(&self, spec: &Spec) -> f64 {
+    /// Below 1 where levels are finer than pictures show: these are left to geometry, unless somebody asked for these
+    /// pictures, or pictures are to end a level.
+    fn start_factor(&self, spec: &Spec, are_pictures_asked: bool) -> f64 {
         let factor = self.row().start_factor;
         let finest = self.finest(spec);
         let start = factor * finest.unwrap_or(self.n_triangles) as f64;
         let is_little = start <= MOST_TO_START_WITH * self.n_triangles as f64;
         let factor = if is_little { factor } else { PLAIN.start_factor };
-        let is_measured = spec.max_d2.iter().any(|d2| *d2 > 0.0);
+        let is_needed = are_pictures_asked || spec.max_d2.iter().any(|d2| *d2 > 0.0);
         match finest {
-            Some(n) if spec.method == Method::Image && !is_measured => {
+            Some(n) if spec.method == Method::Image && !is_needed => {
                 factor.min(most_shown(spec) as f64 / n as f64)
             }
             _ => factor,
@@ -160,26 +162,35 @@ impl Model<'_> {
     }
 
     /// Why the image-driven stage begins where it does.
-    pub fn why_start_factor(&self, spec: &Spec) -> String {
+    pub fn why_start_factor(&self, spec: &Spec, are_pictures_asked: bool) -> String {
         let Row { kind, start_factor, .. } = self.row();
+        let why = format!(
+            "default: {start_factor} for {kind}, {} where that is more than a third of it",
+            PLAIN.start_factor
+        );
+        if are_pictures_asked {
+            return why;
+        }
         format!(
-            "default: {start_factor} for {kind}, {} where that is more than a third of it; and no more than {} triangles, \
-             which have {LEAST_PIXELS} pixels each in all pictures together: finer ones are simplified by geometry alone",
-            PLAIN.start_factor,
+            "{why}; and no more than {} triangles, which have {LEAST_PIXELS} pixels each in all pictures together: finer \
+             ones are simplified by geometry alone",
             most_shown(spec)
         )
     }
 }
 
 /// The most triangles that pictures show well enough.
-pub(super) fn most_shown(spec: &Spec) -> u64 {
+fn most_shown(spec: &Spec) -> u64 {
     spec.render.view_count() as u64 * u64::from(spec.render.image_size).pow(2) / LEAST_PIXELS
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{io, jobs::spec::Optimize};
+    use crate::{
+        io,
+        jobs::spec::{Optimize, Render},
+    };
 
     /// Some triangles apart, or one; the report is all that counts.
     fn report(n_parts: usize, has_textures: bool) -> IngestReport {
@@ -225,7 +236,9 @@ mod tests {
         {
             let spec = of(4_000_000, effort);
             check(&plain, &spec, (size, n_shown / 70_000.0));
-            check(&plain, &Spec { max_d2: vec![1.0, 0.0], ..spec }, (size, 4.0));
+            check(&plain, &Spec { max_d2: vec![1.0, 0.0], ..spec.clone() }, (size, 4.0));
+            let render = Render { image_size: 64, ..Render::default() };
+            check(&plain, &Spec { render, ..spec }, (64, 4.0));
         }
     }
 

@@ -5,8 +5,6 @@
 
 use crate::jobs::spec::{Effort, Method, Spec};
 
-use super::automatic::most_shown;
-
 /// Evaluations for each triangle of a level, where the user set no limit.
 ///
 /// Measured with `benches/optimizer.rs`; `docs/results.md` has the curves.
@@ -49,11 +47,14 @@ pub(super) fn budgets(spec: &Spec, triangles: &[usize], n_spent: u64) -> Vec<Bud
     triangles.iter().map(of).collect()
 }
 
-/// Triangles of those levels that are optimized. Where nobody asked for it, finer ones than pictures show are not: a few
-/// pictures would be fitted instead of the model.
+/// Triangles of those levels that are optimized. Where nobody asked for it, those that were left to geometry because
+/// they are finer than pictures show are not: a few pictures would be fitted instead of the model.
 pub(super) fn n_optimized(spec: &Spec, triangles: &[usize]) -> usize {
     let is_asked = !spec.optimize.is_automatic() || spec.simplified.is_some();
-    triangles.iter().filter(|n| is_asked || **n as u64 <= most_shown(spec)).sum()
+    let finest = spec.triangles.iter().max().map_or(0.0, |n| f64::from(*n));
+    let is_some_left = spec.start_factor > 0.0 && spec.start_factor < 1.0;
+    let most_shown = if is_some_left { spec.start_factor * finest } else { f64::INFINITY };
+    triangles.iter().filter(|n| is_asked || **n as f64 <= most_shown.ceil()).sum()
 }
 
 /// Evaluations for so many triangles; `None` means no limit.
@@ -83,9 +84,7 @@ mod tests {
     use crate::jobs::spec::Optimize;
 
     fn spec(optimize: Optimize) -> Spec {
-        let mut spec = Spec { optimize, ..Spec::new(vec![1000, 100]) };
-        spec.render.image_size = 256;
-        spec
+        Spec { optimize, ..Spec::new(vec![1000, 100]) }
     }
 
     fn evaluations_of(spec: &Spec, n_spent: u64) -> Vec<Option<u64>> {
@@ -115,9 +114,9 @@ mod tests {
         let automatic = spec(Optimize::default());
         let found = evaluations_of(&automatic, 0);
         assert!(found[0] > Some(100 * 900) && found[1] == found[0].map(|n| n / 9));
-        // Twelve pixels a triangle tell nothing; the other level gets no more for it.
-        let of_many = budgets(&automatic, &[100_000, 100], 0);
-        assert_eq!((of_many[0].evaluations, of_many[1].evaluations), (Some(0), found[1]));
+        // What was left to geometry stays so; the other level gets no more for it.
+        let finer = Spec { start_factor: 0.5, ..automatic.clone() };
+        assert_eq!(evaluations_of(&finer, 0), [Some(0), found[1]]);
         let memoryless = Spec { method: Method::Memoryless, ..automatic };
         assert_eq!(evaluations_of(&memoryless, 0), [Some(0), Some(0)]);
     }

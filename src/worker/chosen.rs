@@ -85,7 +85,12 @@ fn metric(spec: &Spec, facts: &Facts<'_>) -> Choice<Metric> {
 
 fn start_factor(spec: &Spec, facts: &Facts<'_>) -> Choice<f64> {
     let is_asked = facts.asked.start_factor > 0.0;
-    let why = if is_asked { "asked".into() } else { facts.model.why_start_factor(spec) };
+    let are_pictures_asked = facts.asked.render.image_size > 0;
+    let why = if is_asked {
+        "asked".into()
+    } else {
+        facts.model.why_start_factor(spec, are_pictures_asked)
+    };
     Choice { value: spec.start_factor, why }
 }
 
