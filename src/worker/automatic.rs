@@ -122,9 +122,10 @@ impl Model<'_> {
         let is_little = start <= MOST_TO_START_WITH * self.n_triangles as f64;
         let factor = if is_little { factor } else { PLAIN.start_factor };
         let is_needed = are_pictures_asked || spec.max_d2.iter().any(|d2| *d2 > 0.0);
-        match finest {
+        // A multiple of what was asked for, even where that is more than the model has.
+        match spec.triangles.iter().max() {
             Some(n) if spec.method == Method::Image && !is_needed => {
-                factor.min(most_shown(spec) as f64 / n as f64)
+                factor.min(most_shown(spec) as f64 / f64::from(*n))
             }
             _ => factor,
         }
@@ -230,12 +231,12 @@ mod tests {
                 check(&plain, &of(n, effort), (scan.0.min(512), scan.1));
             }
         }
-        // All 70,000 triangles: more than pictures show at their best, or at all.
+        // All 70,000 triangles: those that are more than pictures show are left to geometry.
         for (effort, size, n_shown) in
             [(Effort::Best, 1024, 233_016.0), (Effort::Balanced, 512, 58_254.0)]
         {
             let spec = of(4_000_000, effort);
-            check(&plain, &spec, (size, n_shown / 70_000.0));
+            check(&plain, &spec, (size, n_shown / 4_000_000.0));
             check(&plain, &Spec { max_d2: vec![1.0, 0.0], ..spec.clone() }, (size, 4.0));
             let render = Render { image_size: 64, ..Render::default() };
             check(&plain, &Spec { render, ..spec }, (64, 4.0));
