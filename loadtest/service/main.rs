@@ -2,7 +2,8 @@
 //!
 //! `make loadtest` takes the figures of both pairs of stores and writes them into `docs/results.md`, under "The
 //! service". Without `--full` (as `cargo test` runs it) everything is done a few times and no figure is judged:
-//! it shows that the generator works. It talks to servers of its own on loopback alone, and is bounded in count.
+//! it shows that the generator works. `--only figures|tenant` takes one part, `--abuse TEXT` the abuses with that in
+//! their names. It talks to servers of its own on loopback alone, and is bounded in count.
 
 #![allow(
     clippy::unwrap_used,

@@ -6,7 +6,8 @@ use std::{
     sync::{Arc, Mutex, PoisonError},
 };
 
-/// So many are kept. Of segments: 16 MiB, as a rule ([`MAX_SEGMENT`](super::segment::MAX_SEGMENT)).
+/// So many are kept. Of segments: 16 MiB, as a rule ([`MAX_SEGMENT`](super::segment::MAX_SEGMENT)); of pages: 4,096
+/// entries without the bytes of records, a few MiB.
 const N_KEPT: usize = 16;
 
 /// What is kept, by key, the latest first. What a key stands for never changes.
