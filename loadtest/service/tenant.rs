@@ -9,6 +9,7 @@ use std::{
     net::SocketAddr,
     path::Path,
     process::{Child, Command, Stdio},
+    sync::Arc,
     time::{Duration, Instant},
 };
 
@@ -270,37 +271,22 @@ async fn watch(bad: &Bad, job: &str) -> Vec<Streaming<v1::WatchJobResponse>> {
 }
 
 fn malformed(bad: &Bad) -> JoinSet<()> {
-    let address = bad.address();
-    flood(move |i| {
-        let table = raw::malformed();
-        let bytes = table[i % table.len()].1.clone();
-        Box::pin(async move {
-            raw::send(address, &bytes).await;
-        })
-    })
+    flood(bad.address(), raw::malformed().into_iter().map(|(_, bytes, _)| bytes).collect())
 }
 
 fn resets(bad: &Bad) -> JoinSet<()> {
-    let (address, bytes) = (bad.address(), raw::reset_flood(1000));
-    flood(move |_| {
-        let bytes = bytes.clone();
-        Box::pin(async move {
-            raw::send(address, &bytes).await;
-        })
-    })
+    flood(bad.address(), vec![raw::reset_flood(1000)])
 }
 
-fn flood(
-    once: impl Fn(usize) -> BoxFuture<'static, ()> + Clone + Send + Sync + 'static,
-) -> JoinSet<()> {
+/// Sends each of these on a connection of its own, one after another, from each of [`N_FLOODS`] places.
+fn flood(address: SocketAddr, openings: Vec<Vec<u8>>) -> JoinSet<()> {
+    let openings: Arc<[Vec<u8>]> = openings.into();
     let mut tasks = JoinSet::new();
     for i in 0..N_FLOODS {
-        let once = once.clone();
+        let openings = Arc::clone(&openings);
         tasks.spawn(async move {
-            let mut i = i;
-            loop {
-                once(i).await;
-                i += 1;
+            for bytes in openings.iter().cycle().skip(i) {
+                raw::send(address, bytes).await;
             }
         });
     }
