@@ -35,6 +35,9 @@ pub(crate) struct OptimizeArgs {
     /// Find vertex normals too; needs --shading smooth.
     #[arg(long = "optimize-normals")]
     normals: bool,
+    /// Find texture coordinates and vertex colours too.
+    #[arg(long = "optimize-attributes")]
+    attributes: bool,
 }
 
 impl OptimizeArgs {
@@ -47,6 +50,7 @@ impl OptimizeArgs {
             delta: self.delta,
             solver: self.solver,
             normals: self.normals,
+            attributes: self.attributes,
         }
     }
 }

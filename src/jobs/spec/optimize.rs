@@ -33,6 +33,8 @@ pub struct Optimize {
     pub solver: Solver,
     /// Vertex normals are found too; needs smooth shading.
     pub normals: bool,
+    /// Texture coordinates and vertex colours are found too, where the model has some.
+    pub attributes: bool,
 }
 
 impl Default for Optimize {
@@ -44,6 +46,7 @@ impl Default for Optimize {
             delta: 0.1,
             solver: Solver::default(),
             normals: false,
+            attributes: false,
         }
     }
 }
