@@ -120,11 +120,7 @@ impl Appearance {
     }
 
     /// What a triangle is painted with, and the layer of the coordinates where it needs some.
-    pub(super) fn painting(
-        &self,
-        mesh: &Mesh,
-        face: FaceId,
-    ) -> Option<(&Painting, Option<usize>)> {
+    pub(super) fn painting(&self, mesh: &Mesh, face: FaceId) -> Option<(&Painting, Option<usize>)> {
         let painting = self.palette.painting(mesh.material_of(face))?;
         let Some(set) = painting.tex_coord else { return Some((painting, None)) };
         let semantic = Semantic::TexCoord(set);

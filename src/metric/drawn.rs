@@ -196,7 +196,8 @@ impl<'s> Drawn<'s> {
     ) {
         let (i, j) = ((pixel % self.size) as i32, (pixel / self.size) as i32);
         let slope = paint.slope(self.scene.texels.words(), i, j);
-        let by = DVec2::from_array(slope.luminance) * (bare / 255.0) + DVec2::from_array(slope.glow);
+        let by =
+            DVec2::from_array(slope.luminance) * (bare / 255.0) + DVec2::from_array(slope.glow);
         for (turn, share) in turns.iter_mut().zip(slope.shares) {
             turn.add(weight, off, share * by);
         }

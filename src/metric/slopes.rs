@@ -123,7 +123,9 @@ pub fn slopes(
         let weight = f64::from(view.weight);
         sum.energy += weight * part.energy;
         sum.faces.iter_mut().zip(&part.faces).for_each(|(total, one)| *total += weight * one);
-        for (total, one) in sum.all_mut().into_iter().flatten().zip(part.all().into_iter().flatten()) {
+        for (total, one) in
+            sum.all_mut().into_iter().flatten().zip(part.all().into_iter().flatten())
+        {
             total.gradient += weight * one.gradient;
             total.bend += weight * one.bend;
         }

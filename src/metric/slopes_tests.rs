@@ -7,8 +7,8 @@ use glam::DVec3;
 use serde_json::json;
 
 use super::{
-    Attributes, Metric, Pictures, Slopes, Unknown, ViewSet, bounding_sphere, scene_of_edit_mesh, scene_with_normals, slopes,
-    with_vertex_normals,
+    Attributes, Metric, Pictures, Slopes, Unknown, ViewSet, bounding_sphere, scene_of_edit_mesh,
+    scene_with_normals, slopes, with_vertex_normals,
 };
 use crate::{
     mesh::{
@@ -249,7 +249,7 @@ fn values(unknowns: &[Unknown]) -> Vec<DVec3> {
 
 #[test]
 fn texture_coordinates() {
-    let glowing: fn(Mesh) -> Mesh = glowing;
+    let painted: fn(Mesh) -> Mesh = painted;
     for (dressed, shading) in
         [(painted, Shading::Flat), (painted, Shading::Smooth), (glowing, Shading::Flat)]
     {
@@ -279,8 +279,7 @@ fn colours() {
         let original = coloured(shapes::torus(40, 24, 0.0));
         let (set, mesh) = stage_by(original, (shading, Projection::Perspective), metric);
         let mut mesh = coloured(mesh);
-        mesh.materials =
-            vec![Material { base_color: [0.9, 0.8, 0.7, 1.0], ..Material::default() }];
+        mesh.materials = vec![Material { base_color: [0.9, 0.8, 0.7, 1.0], ..Material::default() }];
         let mesh = EditMesh::new(mesh).unwrap();
         let scene = scene_of_edit_mesh(&mesh, &set.pictures);
         let attributes = Attributes::of(&mesh, &set.pictures.palette);

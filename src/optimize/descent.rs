@@ -16,9 +16,7 @@ use glam::{DMat3, DVec3};
 
 use crate::{
     mesh::{Corner, EditMesh, EditRecord, Semantic, VertexId},
-    metric::{
-        Attributes, Slope, Slopes, Unknown, ViewSet, scene_as_drawn, slopes, stored_normal,
-    },
+    metric::{Attributes, Slope, Slopes, Unknown, ViewSet, scene_as_drawn, slopes, stored_normal},
     render::Scene,
     tape::Answer,
 };
@@ -305,7 +303,13 @@ fn now(particles: &[Particle]) -> Vec<DVec3> {
 
 impl Particle {
     fn new(at: DVec3, longest_step: f64) -> Self {
-        Self { from: at, at, longest_step, bounds: [DVec3::NEG_INFINITY, DVec3::INFINITY], ..Self::default() }
+        Self {
+            from: at,
+            at,
+            longest_step,
+            bounds: [DVec3::NEG_INFINITY, DVec3::INFINITY],
+            ..Self::default()
+        }
     }
 
     fn of(unknown: &Unknown, is_locked: bool) -> Self {

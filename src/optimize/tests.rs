@@ -52,8 +52,7 @@ fn striped() -> Mesh {
     let place = |x: f64| 0.5 + 0.3 * x + 0.05 * libm::sin(4.0 * x);
     let mut mesh = with_layer(Semantic::TexCoord(0), 2, place);
     let texel = |k: u32| [if (k % 64 / 8 + k / 512).is_multiple_of(2) { 60 } else { 250 }; 4];
-    let pixels =
-        Pixels { width: 64, height: 64, rgba: (0..64 * 64).flat_map(texel).collect() };
+    let pixels = Pixels { width: 64, height: 64, rgba: (0..64 * 64).flat_map(texel).collect() };
     mesh.images = vec![Image { pixels: Some(pixels.into()), ..Image::default() }];
     mesh.textures = vec![Texture { image: Some(0), ..Texture::default() }];
     let transform = TextureUse::IDENTITY;
@@ -275,7 +274,8 @@ fn values_at_locked_vertices_stay() {
     let mesh = EditMesh::new(simplified.clone()).unwrap();
     let mut mesh = mesh.with_marks(Marks { locked, ..Marks::default() });
     let unknowns = Unknowns { has_own_normals: false, normals: false, attributes: true };
-    let found = descent::descend(&mesh, &sets, (0, 12), unknowns, &mut |_| ControlFlow::Continue(()));
+    let found =
+        descent::descend(&mesh, &sets, (0, 12), unknowns, &mut |_| ControlFlow::Continue(()));
     let found = found.continue_value().unwrap();
     descent::go(&mut mesh, &found);
     let after = mesh.mesh();
