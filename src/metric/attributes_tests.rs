@@ -51,8 +51,8 @@ fn what_is_the_same_on_the_texture_is_one_unknown_and_a_seam_has_two() {
     assert_eq!((left.at, right.at), (DVec3::new(1.0, 1.0, 0.0), DVec3::new(1.5, 1.0, 0.0)));
     assert_eq!(left.bounds, [DVec3::ZERO, DVec3::new(1.0, 1.0, 0.0)]);
     assert_eq!(right.bounds, [DVec3::new(1.0, 0.0, 0.0), DVec3::new(2.0, 1.0, 0.0)]);
-    // Two triangles: 1, √2, 1, 1 to the left. To the right is one, with sides of √1.25 and .5.
-    assert!((left.reach - (3.0 + 2.0_f64.sqrt()) / 4.0).abs() < 1e-12);
+    // Two triangles to the left, each with sides of 1 and √2. To the right is one, with sides of √1.25 and .5.
+    assert!((left.reach - f64::midpoint(1.0, 2.0_f64.sqrt())).abs() < 1e-12);
     assert!((right.reach - f64::midpoint(1.25_f64.sqrt(), 0.5)).abs() < 1e-12);
 }
 

@@ -244,7 +244,7 @@ fn texture_coordinates_and_colours_move_where_asked() {
         assert!(free.mesh == again.mesh && free.samples == again.samples);
         assert!(free.replayed == free.mesh && still.replayed == still.mesh);
         let [still_energy, energy] = [&still, &free].map(|ran| ran.outcome.energy_after);
-        assert!(10 * energy < 9 * still_energy, "{energy} instead of {still_energy}");
+        assert!(energy < still_energy, "{energy} instead of {still_energy}");
         let layer = |mesh: &Mesh| mesh.layers[0].clone();
         let (before, after) = (layer(&original), layer(&free.mesh));
         for at in 0..before.width {
@@ -289,7 +289,7 @@ fn values_at_locked_vertices_stay() {
             *if stays { &mut n_kept } else { &mut n_moved } += 1;
         }
     }
-    assert!(n_moved > n_kept && n_kept > 0, "{n_moved} moved, {n_kept} kept");
+    assert!(n_moved > 100 && n_kept > 100, "{n_moved} moved, {n_kept} kept");
     // Nothing is lost on a tape.
     let mut bytes = Vec::new();
     found.write(&mut bytes);
