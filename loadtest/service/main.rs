@@ -2,7 +2,8 @@
 //!
 //! `make loadtest` takes the figures of both pairs of stores and writes them into `docs/results.md`, under "The
 //! service". Without `--full` (as `cargo test` runs it) everything is done a few times and no figure is judged:
-//! it shows that the generator works. It talks to servers of its own on loopback alone, and is bounded in count.
+//! it shows that the generator works. `--only figures|tenant` takes one part, `--abuse TEXT` the abuses with that in
+//! their names. It talks to servers of its own on loopback alone, and is bounded in count.
 
 #![allow(
     clippy::unwrap_used,
@@ -43,8 +44,10 @@ pub(crate) struct Size {
     pub(crate) n_chunks: u64,
     /// Streams that watch one job.
     pub(crate) n_watchers: usize,
-    /// Submissions of the good tenant under each abuse.
+    /// Submissions of the good tenant in a round.
     pub(crate) n_good: usize,
+    /// Rounds of each abuse: the good tenant alone, then beset.
+    pub(crate) n_rounds: usize,
     /// Jobs that the bad tenant has waiting.
     pub(crate) n_queued: usize,
     /// Seconds of pgbench.
@@ -58,6 +61,7 @@ const SMOKE: Size = Size {
     n_chunks: 50,
     n_watchers: 50,
     n_good: 20,
+    n_rounds: 1,
     n_queued: 100,
     bench_secs: 1,
 };
@@ -69,6 +73,7 @@ const FULL: Size = Size {
     n_chunks: 4000,
     n_watchers: 5000,
     n_good: 300,
+    n_rounds: 3,
     n_queued: 10_000,
     bench_secs: 15,
 };
@@ -92,6 +97,7 @@ fn main() {
     }
     let size = if is_full { FULL } else { SMOKE };
     let only = value("--only").unwrap_or_default();
+    let abuse = value("--abuse").unwrap_or_default();
     let (mut rows, mut abuses) = (Vec::new(), Vec::new());
     runtime.block_on(async {
         for mut stores in Stores::all() {
@@ -99,7 +105,7 @@ fn main() {
                 rows.push(figures::take(&mut stores, size).await);
             }
             if only.is_empty() || only == "tenant" {
-                abuses.push((stores.name(), tenant::take(&mut stores, size).await));
+                abuses.push((stores.name(), tenant::take(&mut stores, size, &abuse).await));
             }
         }
     });

@@ -75,8 +75,8 @@ const ABUSES: [(&str, Abuse); 7] = [
     ("floods with resets, eight connections", |bad| Box::pin(ready(resets(&bad)))),
 ];
 
-/// How long the good tenant's submissions take under each abuse, and right before it.
-pub(crate) async fn take(stores: &mut Stores, size: Size) -> Vec<Abused> {
+/// How long the good tenant's submissions take under each abuse whose name has `part` in it, and right before it.
+pub(crate) async fn take(stores: &mut Stores, size: Size, part: &str) -> Vec<Abused> {
     let folder = tempfile::tempdir().unwrap();
     let [good, bad, worker] = [("good", "user"), ("bad", "user"), ("worker", "worker")]
         .map(|(n, r)| token(&folder, n, r));
@@ -93,15 +93,19 @@ pub(crate) async fn take(stores: &mut Stores, size: Size) -> Vec<Abused> {
     let url = server.url.clone();
     let bad = Bad { url, token: bad, mesh, job, long_job, n_queued: size.n_queued };
     let mut rows = Vec::new();
-    for (what, _) in ABUSES {
-        let alone = Waits::of(submit(good.clone(), size.n_good).await);
-        let abuse = Abuser::begin(what, &bad);
-        let beset = Waits::of(submit(good.clone(), size.n_good).await);
-        drop(abuse);
+    for (what, _) in ABUSES.iter().filter(|(what, _)| what.contains(part)) {
+        let (mut alone, mut beset) = (Vec::new(), Vec::new());
+        for _ in 0..size.n_rounds {
+            alone.extend(submit(good.clone(), size.n_good).await);
+            let abuse = Abuser::begin(what, &bad);
+            beset.extend(submit(good.clone(), size.n_good).await);
+            drop(abuse);
+            // What was begun comes to its end.
+            sleep(Duration::from_secs(1)).await;
+        }
+        let (alone, beset) = (Waits::of(alone), Waits::of(beset));
         eprintln!("{what}: {beset:?}, alone {alone:?}");
         rows.push(Abused { what, alone, beset });
-        // What was begun comes to its end.
-        sleep(Duration::from_secs(1)).await;
     }
     check(&server);
     rows

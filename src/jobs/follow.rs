@@ -4,7 +4,7 @@
 //! those at the same place of the same log; however slow it is, no worker waits for it. Of the followers of one reader
 //! some read at a time and the others wait for them, so that a thousand do not keep others from the database.
 
-use std::{collections::VecDeque, sync::Arc, time::Duration};
+use std::{sync::Arc, time::Duration};
 
 use futures::Stream;
 use tokio::{sync::watch, time::timeout};
@@ -28,7 +28,9 @@ struct Follower {
     reader: String,
     id: String,
     last_seq: u64,
-    page: VecDeque<StoredEvent>,
+    page: Arc<[StoredEvent]>,
+    /// Of its entries, so many have been handed out.
+    n_out: usize,
     grew: watch::Receiver<()>,
     /// The segment last unpacked: neighbours in the log share it.
     segment: (String, Arc<Vec<u8>>),
@@ -51,7 +53,8 @@ impl Jobs {
             reader: reader.into(),
             id: id.into(),
             last_seq: after_seq,
-            page: VecDeque::new(),
+            page: Arc::default(),
+            n_out: 0,
             grew: self.0.signals.watch_log(id),
             segment: Default::default(),
             ended: false,
@@ -73,26 +76,18 @@ impl Jobs {
 
 impl Follower {
     async fn next(&mut self) -> Result<Option<Event>> {
-        while self.page.is_empty() && !self.ended {
+        while self.n_out == self.page.len() && !self.ended {
             self.grew.mark_unchanged();
-            let turn = self.jobs.0.readers.of(&self.reader).await;
-            // The job first: if it has ended, the page that follows holds the last entry.
-            let job = match self.jobs.job(&self.id).await {
-                Err(Error::NotFound(_)) if self.saw_end => return Ok(None),
-                found => found?,
-            };
-            let page = self.jobs.0.store.events(&self.id, self.last_seq, PAGE).await?;
-            drop(turn);
-            self.ended = page.is_empty() && job.state.is_final();
-            if page.is_empty() && !self.ended {
+            (self.page, self.n_out) = (self.following_page().await?, 0);
+            if self.page.is_empty() && !self.ended {
                 // Time out or not: look again.
                 let _ = timeout(POLL, self.grew.changed()).await;
             }
-            self.page = page.into();
         }
-        let Some(StoredEvent { mut event, bytes }) = self.page.pop_front() else {
+        let Some(StoredEvent { mut event, bytes }) = self.page.get(self.n_out).cloned() else {
             return Ok(None);
         };
+        self.n_out += 1;
         if let (Body::Worker(Report::Records { bytes, .. }), Some(range)) = (&mut event.body, bytes)
         {
             *bytes = self.read(event.epoch, range).await?;
@@ -100,6 +95,27 @@ impl Follower {
         self.last_seq = event.seq;
         self.saw_end = event.body.state().is_some_and(super::state::State::is_final);
         Ok(Some(event))
+    }
+
+    /// What follows in the log, and with nothing, whether it has ended. A full page never changes: it is shared.
+    async fn following_page(&mut self) -> Result<Arc<[StoredEvent]>> {
+        let inner = &self.jobs.0;
+        let _turn = inner.readers.of(&self.reader).await;
+        let key = format!("{}/{}", self.id, self.last_seq);
+        if let Some(page) = inner.pages.get(&key) {
+            return Ok(page);
+        }
+        // The job first: if it has ended, the page that follows holds the last entry.
+        let has_ended = match self.jobs.job(&self.id).await {
+            Err(Error::NotFound(_)) if self.saw_end => true,
+            found => found?.state.is_final(),
+        };
+        let page: Arc<[_]> = inner.store.events(&self.id, self.last_seq, PAGE).await?.into();
+        self.ended = page.is_empty() && has_ended;
+        if page.len() == PAGE as usize {
+            inner.pages.keep(key, Arc::clone(&page));
+        }
+        Ok(page)
     }
 
     async fn read(&mut self, epoch: u64, range: SegmentRange) -> Result<Vec<u8>> {

@@ -38,8 +38,8 @@ pub mod webhooks;
 mod attempts;
 mod expiry;
 mod points;
+mod recent;
 mod turns;
-mod unpacked;
 
 pub use places::Places;
 
@@ -57,10 +57,10 @@ use self::{
     error::{Error, Result},
     lease::{Loss, Terms},
     points::{Point, pass},
+    recent::Recent,
     signals::Signals,
-    store::{Job, Store},
+    store::{Job, Store, StoredEvent},
     turns::Turns,
-    unpacked::Unpacked,
 };
 
 /// Caps on what clients may ask for.
@@ -127,7 +127,9 @@ struct Inner {
     /// Of those who create jobs, and of those who follow logs.
     turns: Turns,
     readers: Turns,
-    unpacked: Unpacked,
+    /// Pages of logs, and segments of records, that followers share.
+    pages: Recent<[StoredEvent]>,
+    unpacked: Recent<Vec<u8>>,
     /// Jobs whose attempts were lost while nobody asked for them.
     lost: Mutex<Vec<Job>>,
     terms: Terms,
@@ -160,7 +162,8 @@ impl Jobs {
             _couriers: couriers,
             turns: Turns::new(CREATIONS_AT_ONCE),
             readers: Turns::new(READS_AT_ONCE),
-            unpacked: Unpacked::default(),
+            pages: Recent::default(),
+            unpacked: Recent::default(),
             lost: Mutex::default(),
             terms,
             limits,

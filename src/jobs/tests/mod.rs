@@ -1,6 +1,7 @@
 //! Everything that is stored, as a whole: leases, logs, restarts; on every store.
 
 pub(super) mod crashes;
+mod following;
 #[path = "../../../tests/stores/postgres.rs"]
 mod postgres;
 #[path = "../../../tests/stores/s3.rs"]
@@ -97,7 +98,6 @@ in_homes! { [on_sqlite on_postgres] [
     database_and_objects_belong_together,
     results_are_removed_with_their_bytes_and_logs_stay,
     jobs_go_when_their_time_is_up_unless_they_are_pinned,
-    followers_see_everything_live_wherever_they_begin,
 ] }
 
 fn bytes_of(chunks: &[&'static [u8]]) -> mpsc::Receiver<Bytes> {
@@ -351,32 +351,6 @@ async fn damaged_transfers_leave_nothing(home: Home) {
     assert!(matches!(short, Err(Error::Corrupt { .. })));
     assert!(!home.dir.path().join("objects/meshes").exists());
     assert_eq!(fs::read_dir(home.dir.path().join("objects/tmp")).unwrap().count(), 0);
-}
-
-async fn followers_see_everything_live_wherever_they_begin(home: Home) {
-    let jobs = home.open().await;
-    let id = create(&jobs).await.id;
-    let live = jobs.follow("reader", &id, 0).try_collect::<Vec<_>>();
-    let work = async {
-        let (_, lease) = claim(&jobs, "w").await.unwrap();
-        for first in 0..20 {
-            let bytes = vec![first as u8; 100];
-            let records = Report::Records { level: None, first, count: 1, bytes };
-            jobs.append(&lease, first, vec![records]).await.unwrap();
-        }
-        jobs.complete(&lease, &Outcome::Failed("BAD".into(), "bad".into())).await.unwrap();
-    };
-    let (live, ()) = tokio::join!(live, work);
-    let live = live.unwrap();
-    assert_eq!(live.last().unwrap().body.state(), Some(State::Failed));
-    for after in 0..live.len() {
-        let rest: Vec<_> = jobs.follow("reader", &id, after as u64).try_collect().await.unwrap();
-        assert_eq!(rest, live[after..]);
-    }
-    let past: Vec<_> = jobs.follow("reader", &id, u64::MAX).try_collect().await.unwrap();
-    assert_eq!(past, []);
-    let missing = jobs.follow("reader", "none", 0).try_collect::<Vec<_>>().await;
-    assert!(matches!(missing, Err(Error::NotFound(_))));
 }
 
 async fn servers_share_a_database_but_not_their_directories(home: Home) {
