@@ -109,7 +109,7 @@ const FLAGS: [(&str, &str); 12] = [
     ("optimize.until", "--optimize-until"),
     ("optimize.delta", "--optimize-delta"),
     ("optimize.normals", "--optimize-normals"),
-    ("optimize.attributes", "--optimize-attributes"),
+    ("optimize.keep_attributes", "--keep-attributes"),
     ("render.n_views", "--views"),
     ("render.custom_views", "--view"),
     ("render.fov_degrees", "--fov"),

@@ -35,9 +35,9 @@ pub(crate) struct OptimizeArgs {
     /// Find vertex normals too; needs --shading smooth.
     #[arg(long = "optimize-normals")]
     normals: bool,
-    /// Find texture coordinates and vertex colours too.
-    #[arg(long = "optimize-attributes")]
-    attributes: bool,
+    /// Leave texture coordinates and vertex colours as simplification does.
+    #[arg(long)]
+    keep_attributes: bool,
 }
 
 impl OptimizeArgs {
@@ -50,7 +50,7 @@ impl OptimizeArgs {
             delta: self.delta,
             solver: self.solver,
             normals: self.normals,
-            attributes: self.attributes,
+            keep_attributes: self.keep_attributes,
         }
     }
 }

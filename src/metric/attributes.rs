@@ -7,7 +7,8 @@
 //!    stays a seam;
 //! 2. a texture coordinate has bounds: the range at the corners of the triangles around that have it. So coordinates
 //!    stay within the range that those of the original had, and near their chart;
-//! 3. colours stay within 0 and 1 (those beyond do not go further), and alpha is no unknown;
+//! 3. colours stay within 0 and 1 (those beyond do not go further), and alpha is no unknown. Pictures of luminance say
+//!    nothing of hues: a colour gets lighter or darker there, in the proportions that it has;
 //! 4. unknowns are numbered by vertex, then by triangle: the order depends on the mesh alone.
 //!
 //! Normal maps and tangents that use the same coordinates are carried along, and not looked at.
@@ -31,6 +32,9 @@ use super::{
     slopes::{Drag, Slopes},
 };
 
+/// Linear colours none of whose numbers is greater have no hue that is seen.
+const BLACK: f64 = 1.0 / 255.0;
+
 /// A value that some corners of a vertex share.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Unknown {
@@ -44,6 +48,8 @@ pub struct Unknown {
     pub at: DVec3,
     /// Least and greatest.
     pub bounds: [DVec3; 2],
+    /// The direction, of length 1, in which alone it may move.
+    pub way: Option<DVec3>,
     /// How far apart values are: on the texture, the mean length of its triangles' sides.
     pub reach: f64,
 }
@@ -77,7 +83,10 @@ impl Attributes {
         };
         let at = layers.iter().position(|l| l.semantic == Semantic::Color(0) && l.width >= 3);
         let (coordinates, on_textures) = gather(mesh, coordinates);
-        let (colours, of_colours) = gather(mesh, |_| at);
+        let (mut colours, of_colours) = gather(mesh, |_| at);
+        if palette.metric().n_channels() == 1 {
+            colours.iter_mut().for_each(Unknown::keep_hue);
+        }
         let faces = (0..mesh.n_face_slots()).map(|f| Dressed {
             material: mesh.mesh().material_of(FaceId(f as u32)),
             coordinates: on_textures[f],
@@ -227,7 +236,21 @@ impl Unknown {
         (at.as_mut().iter_mut()).zip(value).for_each(|(to, from)| *to = f64::from(*from));
         let vertex = mesh.vertices_of(corner.face())[corner.k()];
         let bounds = [at.min(DVec3::ZERO), at.max(DVec3::ONE)];
-        Self { corner, vertex, semantic: layer.semantic, at, bounds, reach: 1.0 }
+        Self { corner, vertex, semantic: layer.semantic, at, bounds, way: None, reach: 1.0 }
+    }
+
+    /// A colour keeps its hue; what is all but black has none, and gets grey.
+    fn keep_hue(&mut self) {
+        let hue = self.at.max(DVec3::ZERO);
+        let way = if hue.max_element() < BLACK { DVec3::ONE } else { hue }.normalize_or_zero();
+        let [low, high] = self.bounds;
+        // So far down and up the first of its numbers comes to its bound.
+        let reach = |to: DVec3| {
+            let steps = (0..3).filter(|&k| way[k] > 0.0).map(|k| (to[k] - self.at[k]) / way[k]);
+            steps.reduce(|a, b| if a.abs() < b.abs() { a } else { b }).unwrap_or_default()
+        };
+        self.bounds = [self.at + way * reach(low), self.at + way * reach(high)];
+        self.way = Some(way);
     }
 }
 

@@ -65,16 +65,31 @@ fn without_textures_or_colours_nothing_is_unknown() {
 }
 
 #[test]
-fn colours_beyond_white_do_not_go_further() {
+fn colours_beyond_white_do_not_go_further_and_luminance_keeps_hues() {
     let mut mesh = shapes::octahedron();
     mesh.face_wedges.clone_from(&mesh.faces);
     let mut values = vec![0.5; 24];
-    values[0] = 1.5;
+    (values[0], values[5]) = (1.5, 0.25);
+    values[8..11].fill(0.0);
     mesh.layers = vec![AttributeLayer { semantic: Semantic::Color(0), width: 4, values }];
-    let found = attributes(&EditMesh::new(mesh).unwrap());
+    let mesh = EditMesh::new(mesh).unwrap();
+    let of = |metric| Attributes::of(&mesh, &Palette::of(mesh.mesh(), 64, metric).into());
+    let found = of(Metric::Rgb);
     assert_eq!(found.colours().len(), 6);
     assert_eq!(found.colours()[0].bounds, [DVec3::ZERO, DVec3::new(1.5, 1.0, 1.0)]);
     assert_eq!(found.colours()[5].bounds, [DVec3::ZERO, DVec3::ONE]);
+    assert!(found.colours().iter().all(|u| u.way.is_none()));
+    // Where luminance is all that is seen, hues stay: .5 .25 .5 can be twice that; black gets grey.
+    let found = of(Metric::Luminance);
+    let check = |i: usize, way: [f64; 3], bounds: [[f64; 3]; 2]| {
+        let found = &found.colours()[i];
+        let all = [found.way.unwrap(), found.bounds[0], found.bounds[1]];
+        let wanted = [DVec3::from(way).normalize_or_zero(), bounds[0].into(), bounds[1].into()];
+        assert!(all.iter().zip(wanted).all(|(a, b)| a.abs_diff_eq(b, 1e-12)), "{found:?}");
+    };
+    check(0, [3.0, 1.0, 1.0], [[0.0; 3], [1.5, 0.5, 0.5]]);
+    check(1, [2.0, 1.0, 2.0], [[0.0; 3], [1.0, 0.5, 1.0]]);
+    check(2, [1.0; 3], [[0.0; 3], [1.0; 3]]);
 }
 
 #[test]

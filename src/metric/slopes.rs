@@ -38,6 +38,13 @@ impl Slope {
         self.gradient += slope * by;
         self.bend += outer(bend * by, by);
     }
+
+    /// What is left of it where only steps along a direction of length 1 are taken.
+    #[must_use]
+    pub fn along(&self, way: DVec3) -> Self {
+        let bend = way.dot(self.bend * way);
+        Self { gradient: way * way.dot(self.gradient), bend: outer(bend * way, way) }
+    }
 }
 
 /// What changes as a corner takes a texture along in the picture, or moves on it: slopes along two axes, and their

@@ -173,6 +173,8 @@ struct Particle {
     sum: DVec3,
     /// Least and greatest of each number.
     bounds: [DVec3; 2],
+    /// The direction in which alone it moves.
+    way: Option<DVec3>,
     /// 0 for a slot that no vertex uses, and where the vertex is locked.
     longest_step: f64,
 }
@@ -314,10 +316,12 @@ impl Particle {
 
     fn of(unknown: &Unknown, is_locked: bool) -> Self {
         let longest_step = if is_locked { 0.0 } else { LONGEST_STEP * unknown.reach };
-        Self { bounds: unknown.bounds, ..Self::new(unknown.at, longest_step) }
+        let Unknown { at, bounds, way, .. } = *unknown;
+        Self { bounds, way, ..Self::new(at, longest_step) }
     }
 
     fn step(&mut self, slope: &Slope, n_before: usize, share: f64) {
+        let slope = self.way.map_or(*slope, |way| slope.along(way));
         let newest = 1.0 / (n_before as f64 + 1.0).min(HORIZON);
         self.bend = self.bend * (1.0 - newest) + slope.bend * newest;
         self.momentum = self.momentum * MOMENTUM + slope.gradient;

@@ -115,7 +115,7 @@ fn smooth_shading_with_normals_of_its_own() {
 
 #[test]
 fn texture_coordinates_of_a_torus() {
-    let optimize = Optimize { attributes: true, ..budget(6_000) };
+    let optimize = budget(6_000);
     let render = Render { image_size: 128, ..small() };
     let spec =
         Spec { effort: Effort::Fast, start_factor: 2.0, render, optimize, ..Spec::new(vec![150]) };

@@ -33,8 +33,8 @@ pub struct Optimize {
     pub solver: Solver,
     /// Vertex normals are found too; needs smooth shading.
     pub normals: bool,
-    /// Texture coordinates and vertex colours are found too, where the model has some.
-    pub attributes: bool,
+    /// Texture coordinates and vertex colours stay as simplification leaves them; else they are found too.
+    pub keep_attributes: bool,
 }
 
 impl Default for Optimize {
@@ -46,7 +46,7 @@ impl Default for Optimize {
             delta: 0.1,
             solver: Solver::default(),
             normals: false,
-            attributes: false,
+            keep_attributes: false,
         }
     }
 }
