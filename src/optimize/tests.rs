@@ -61,7 +61,7 @@ fn striped(mesh: Mesh) -> Mesh {
 }
 
 fn coloured(mesh: Mesh) -> Mesh {
-    with_layer(mesh, Semantic::Color(0), 4, |x| 0.5 + 0.4 * libm::sin(3.0 * x))
+    with_layer(mesh, Semantic::Color(0), 4, |x| 0.5 + 0.2 * libm::sin(3.0 * x))
 }
 
 fn pictures(original: &Mesh, shading: Shading) -> Pictures {
