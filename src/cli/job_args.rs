@@ -101,7 +101,7 @@ pub(crate) struct LockArgs {
 }
 
 /// Fields of the specification whose flag has another name.
-const FLAGS: [(&str, &str); 11] = [
+const FLAGS: [(&str, &str); 12] = [
     ("ratios", "--ratio"),
     ("optimize", "--optimize-evaluations"),
     ("optimize.max_evaluations", "--optimize-evaluations"),
@@ -109,6 +109,7 @@ const FLAGS: [(&str, &str); 11] = [
     ("optimize.until", "--optimize-until"),
     ("optimize.delta", "--optimize-delta"),
     ("optimize.normals", "--optimize-normals"),
+    ("optimize.keep_attributes", "--keep-attributes"),
     ("render.n_views", "--views"),
     ("render.custom_views", "--view"),
     ("render.fov_degrees", "--fov"),

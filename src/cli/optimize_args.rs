@@ -35,6 +35,9 @@ pub(crate) struct OptimizeArgs {
     /// Find vertex normals too; needs --shading smooth.
     #[arg(long = "optimize-normals")]
     normals: bool,
+    /// Leave texture coordinates and vertex colours as simplification does.
+    #[arg(long)]
+    keep_attributes: bool,
 }
 
 impl OptimizeArgs {
@@ -47,6 +50,7 @@ impl OptimizeArgs {
             delta: self.delta,
             solver: self.solver,
             normals: self.normals,
+            keep_attributes: self.keep_attributes,
         }
     }
 }

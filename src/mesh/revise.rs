@@ -51,25 +51,66 @@ impl EditMesh {
         values: &[(VertexId, [f32; N])],
     ) -> Option<Revalue> {
         let layer = self.mesh.layers.iter().position(|l| l.semantic == semantic && l.width == N)?;
+        let values = values.iter().map(|(vertex, value)| (*vertex, None, &value[..]));
+        Some(self.revalue_layer(layer, values))
+    }
+
+    /// Gives corners new values of one layer: `values[i]` takes the place of the first numbers of what the i-th
+    /// corner has, at every corner of its vertex that has the same, whatever its wedge. So what is the same stays
+    /// the same. Other layers keep theirs. `None` if the mesh has no such layer, or a narrower one.
+    pub fn revalue_shared<const N: usize>(
+        &mut self,
+        semantic: Semantic,
+        values: &[(Corner, [f32; N])],
+    ) -> Option<Revalue> {
+        let layer = self.mesh.layers.iter().position(|l| l.semantic == semantic && l.width >= N)?;
+        let vertex = |corner: Corner| self.vertices_of(corner.face())[corner.k()];
+        let wedge = |corner: Corner| self.wedges_of(corner.face())[corner.k()];
+        let planned: Vec<_> = (values.iter())
+            .map(|(corner, value)| (vertex(*corner), Some(wedge(*corner)), &value[..]))
+            .collect();
+        Some(self.revalue_layer(layer, planned.into_iter()))
+    }
+
+    /// At each vertex, every wedge gets the value; where a wedge is given, only those that have its value.
+    fn revalue_layer<'v>(
+        &mut self,
+        layer: usize,
+        values: impl Iterator<Item = (VertexId, Option<WedgeId>, &'v [f32])>,
+    ) -> Revalue {
         let mut record = Revalue {
             rewedged: SmallVec::new(),
             first_new_wedge: self.next_wedge(),
             new_wedges: Vec::new(),
         };
-        for (vertex, value) in values {
-            self.plan_revalue(*vertex, layer, value, &mut record);
+        for (vertex, like, value) in values {
+            self.plan_revalue((vertex, like), layer, value, &mut record);
         }
         record.rewedged.sort_unstable_by_key(|r| r.corner);
         self.rewedge(&record, true);
-        Some(record)
+        record
     }
 
-    /// Adds the corners of one vertex to a record: a new wedge for each old one.
-    fn plan_revalue(&self, v: VertexId, layer: usize, value: &[f32], record: &mut Revalue) {
+    /// Adds corners of one vertex to a record: a new wedge for each old one.
+    fn plan_revalue(
+        &self,
+        (v, like): (VertexId, Option<WedgeId>),
+        layer: usize,
+        value: &[f32],
+        record: &mut Revalue,
+    ) {
+        let has_value = |wedge: WedgeId| {
+            let layer = &self.mesh.layers[layer];
+            let bits = |w| layer.get(w).iter().map(|x| x.to_bits());
+            like.is_none_or(|like| bits(like).eq(bits(wedge)))
+        };
         let mut renewed: SmallVec<[(WedgeId, WedgeId); 4]> = SmallVec::new();
         for &face in self.faces_around(v) {
             for k in (0..3).filter(|&k| self.vertices_of(face)[k] == v) {
                 let from = self.wedges_of(face)[k];
+                if !has_value(from) {
+                    continue;
+                }
                 let to = match renewed.iter().find(|(old, _)| *old == from) {
                     Some((_, new)) => *new,
                     None => self.append_copy(from, layer, value, record),
@@ -80,7 +121,7 @@ impl EditMesh {
         }
     }
 
-    /// Adds a copy of a wedge with other values of one layer to a record; returns its id.
+    /// Adds a copy of a wedge with other values of one layer, or other first ones, to a record; returns its id.
     fn append_copy(
         &self,
         wedge: WedgeId,
@@ -91,7 +132,8 @@ impl EditMesh {
         let stride: usize = self.mesh.layers.iter().map(|l| l.width).sum();
         let id = record.first_new_wedge.index() + record.new_wedges.len() / stride.max(1);
         for (i, l) in self.mesh.layers.iter().enumerate() {
-            record.new_wedges.extend_from_slice(if i == layer { v } else { l.get(wedge) });
+            let (old, n_new) = (l.get(wedge), if i == layer { v.len() } else { 0 });
+            record.new_wedges.extend(v[..n_new].iter().chain(&old[n_new..]));
         }
         WedgeId(id as u32)
     }

@@ -179,6 +179,38 @@ fn new_values_make_new_wedges_and_leave_the_old_ones() {
 }
 
 #[test]
+fn corners_that_share_a_value_get_the_new_one_together() {
+    // Vertex 2 has two wedges: they differ in the first layer, and in the second by what is given here.
+    for (other, n_changed) in [([0.5, 0.5], 2), ([0.5, -0.5], 1)] {
+        let positions = vec![DVec3::ZERO, DVec3::X, DVec3::ONE, DVec3::Y];
+        let mut mesh = Mesh::from_parts(positions, vec![[0, 1, 2], [0, 2, 3]]);
+        mesh.face_wedges = vec![[0, 1, 2], [0, 4, 3]];
+        let normals = (0..15).map(|k| k as f32).collect();
+        let mut uvs = vec![0.5; 10];
+        uvs[8..].copy_from_slice(&other);
+        mesh.layers = vec![
+            AttributeLayer { semantic: Semantic::Normal, width: 3, values: normals },
+            AttributeLayer { semantic: Semantic::TexCoord(0), width: 2, values: uvs },
+        ];
+        let mut mesh = EditMesh::new(mesh).unwrap();
+        let before = mesh.snapshot();
+        let corner = Corner::new(FaceId(0), 2);
+        let record = mesh.revalue_shared(Semantic::TexCoord(0), &[(corner, [0.25])]).unwrap();
+        mesh.validate().unwrap();
+        let corners: Vec<Corner> = record.rewedged.iter().map(|r| r.corner).collect();
+        assert_eq!(corners, [corner, Corner::new(FaceId(1), 1)][..n_changed]);
+        for r in &record.rewedged {
+            // The second number, which was not given, stays; so does the other layer.
+            assert_eq!(mesh.mesh().layers[1].get(r.to), [0.25, 0.5]);
+            assert_eq!(mesh.mesh().layers[0].get(r.to), mesh.mesh().layers[0].get(r.from));
+        }
+        assert!(mesh.revalue_shared(Semantic::TexCoord(0), &[(corner, [0.0; 3])]).is_none());
+        mesh.undo(&record);
+        assert_eq!(mesh.snapshot(), before);
+    }
+}
+
+#[test]
 fn faulty_meshes_are_refused_with_the_place() {
     let bad = |positions, faces| EditMesh::new(Mesh::from_parts(positions, faces)).err();
     assert_eq!(
@@ -243,11 +275,17 @@ fn edit(mesh: &mut EditMesh, [what, which, place]: [u32; 3]) -> Option<Done> {
     let [a, b] = (edges.n_slots() > 0).then(|| edges.ends(edge))?;
     let at = mesh.position(a).lerp(mesh.position(b), f64::from(place % 8) / 7.0) + DVec3::Z;
     let normal = [(a, at.as_vec3().to_array()), (b, [0.0, 2.0, 0.0])];
-    match what % 6 {
+    match what % 7 {
         0 => mesh.split(a, b, at).map(Done::Split),
         1 => mesh.swap(a, b).map(Done::Swap),
         3 => Some(Done::Displacement(mesh.displace(a, at))),
         4 => mesh.revalue(Semantic::Normal, &normal).map(Done::Revalue),
+        6 => {
+            let face = *mesh.faces_around(a).first()?;
+            let k = mesh.vertices_of(face).iter().position(|v| *v == a)?;
+            let values = [(Corner::new(face, k), [at.x as f32])];
+            mesh.revalue_shared(Semantic::TexCoord(0), &values).map(Done::Revalue)
+        }
         _ => Some(Done::Collapse(mesh.collapse(a, b, at))),
     }
 }

@@ -7,6 +7,8 @@
 
 use std::sync::Arc;
 
+use glam::DVec3;
+
 use crate::{
     mesh::{AttributeLayer, Collapse, Coverage, EditMesh, FaceId, Material, Mesh, Semantic},
     render::{Paint, Surface},
@@ -68,11 +70,11 @@ impl Appearance {
         let Some(wedges) = mesh.face_wedges.get(face.index()) else {
             let plain = self.painting(mesh, face).filter(|(_, at)| at.is_none());
             let paint = plain.map(|(painting, _)| Paint { map: painting.map, uv: [[0.0; 2]; 3] });
-            let albedo = [self.bytes([1.0; 3], mesh, face); 3];
+            let albedo = [self.bytes([1.0; 3], mesh.material_of(face)); 3];
             return Surface { albedo, paint, is_unlit, is_single_sided };
         };
         let colour = |w: u32| self.wedges.get(w as usize).copied().unwrap_or([1.0; 3]);
-        let albedo = wedges.map(|w| self.bytes(colour(w), mesh, face));
+        let albedo = wedges.map(|w| self.bytes(colour(w), mesh.material_of(face)));
         let paint = self.painting(mesh, face).map(|(painting, at)| {
             let place = |w: u32| {
                 let Some(layer) = at.map(|at| &mesh.layers[at]) else { return [0.0; 2] };
@@ -106,7 +108,7 @@ impl Appearance {
         if !self.wedges.is_empty() {
             let at = layers.iter().position(|l| l.semantic == Semantic::Color(0));
             if let Some(colour) = at.and_then(|at| new_wedge_value(layers, values, (nth, at))) {
-                surface.albedo[k] = self.bytes(self.channels(colour), mesh.mesh(), face);
+                surface.albedo[k] = self.albedo(colour, mesh.mesh().material_of(face));
             }
         }
         let painting = self.painting(mesh.mesh(), face);
@@ -118,16 +120,36 @@ impl Appearance {
     }
 
     /// What a triangle is painted with, and the layer of the coordinates where it needs some.
-    fn painting(&self, mesh: &Mesh, face: FaceId) -> Option<(&Painting, Option<usize>)> {
+    pub(super) fn painting(&self, mesh: &Mesh, face: FaceId) -> Option<(&Painting, Option<usize>)> {
         let painting = self.palette.painting(mesh.material_of(face))?;
         let Some(set) = painting.tex_coord else { return Some((painting, None)) };
         let semantic = Semantic::TexCoord(set);
         Some((painting, Some(mesh.layers.iter().position(|l| l.semantic == semantic)?)))
     }
 
-    fn bytes(&self, vertex: [f32; 3], mesh: &Mesh, face: FaceId) -> [u8; 3] {
-        let material = mesh.material_of(face) as usize;
-        let material = self.materials.get(material).copied().unwrap_or([1.0; 3]);
+    /// What a material is painted with, wherever its coordinates are from.
+    pub(super) fn paint_of(&self, material: u32) -> Option<&Painting> {
+        self.palette.painting(material)
+    }
+
+    /// The albedo of a corner with a vertex colour.
+    pub(super) fn albedo(&self, colour: &[f32], material: u32) -> [u8; 3] {
+        self.bytes(self.channels(colour), material)
+    }
+
+    /// How the albedo of a channel changes with red, green and blue of the vertex colour.
+    pub(super) fn tint(&self, material: u32, channel: u8) -> DVec3 {
+        let channel = usize::from(channel);
+        let weights = self.palette.metric().weights().get(channel).copied().unwrap_or_default();
+        DVec3::from_array(weights) * f64::from(255.0 * self.channels_of(material)[channel.min(2)])
+    }
+
+    fn channels_of(&self, material: u32) -> [f32; 3] {
+        self.materials.get(material as usize).copied().unwrap_or([1.0; 3])
+    }
+
+    fn bytes(&self, vertex: [f32; 3], material: u32) -> [u8; 3] {
+        let material = self.channels_of(material);
         let byte = |c: usize| ((vertex[c] * material[c]).clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
         match self.palette.metric() {
             Metric::Luminance | Metric::Perceptual => [byte(0); 3],

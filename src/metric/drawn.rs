@@ -16,6 +16,7 @@ use crate::render::{
 };
 
 use super::{
+    attributes::Attributes,
     shade::Shade,
     shown::Shown,
     slopes::{Drag, Slopes},
@@ -43,6 +44,8 @@ pub struct Drawn<'s> {
     texels: Vec<f32>,
     /// By pixel: what the texture seen there gives off, 0 to 255; empty where none gives off anything.
     glows: Vec<f32>,
+    /// By these is differentiated, too.
+    attributes: Option<&'s Attributes>,
 }
 
 /// What a triangle's pixels add up to.
@@ -58,6 +61,8 @@ struct Seen {
     sides: [[[f64; 2]; 2]; 3],
     /// What changes as the corners take the texture along.
     drags: [Drag; 3],
+    /// What changes as the corners move on the texture, the other way.
+    turns: [Drag; 3],
 }
 
 impl Seen {
@@ -69,7 +74,7 @@ impl Seen {
 
 impl<'s> Drawn<'s> {
     /// Draws one view.
-    pub fn new(scene: &'s Scene, view: usize) -> Self {
+    pub fn new(scene: &'s Scene, view: usize, attributes: Option<&'s Attributes>) -> Self {
         let size = scene.lattice.size as usize;
         let points: Vec<DVec2> =
             (0..scene.n_vertex_slots() as u32).map(|v| on_picture(scene, view, v)).collect();
@@ -87,10 +92,11 @@ impl<'s> Drawn<'s> {
             paints: vec![None; if scene.texels.is_empty() { 0 } else { scene.faces.len() }],
             texels: Vec::new(),
             glows: Vec::new(),
+            attributes,
         };
         for (id, face) in scene.faces.iter().enumerate() {
             let Some(face) = face.as_ref().filter(|_| is_seen[id]) else { continue };
-            this.shades[id] = Shade::of(scene, view, face, &points);
+            this.shades[id] = Shade::of(scene, view, face, (&points, this.has_colours(id as u32)));
             this.sides[id] = Side::all(face, &points);
             if let Some(paint) = this.paints.get_mut(id) {
                 *paint = scene.painted(view, face);
@@ -141,7 +147,7 @@ impl<'s> Drawn<'s> {
         let paint = self.paint(id);
         let is_flat = self.scene.params.shading == Shading::Flat;
         let is_even = self.shades.get(id as usize).is_none_or(Shade::is_even);
-        if id == NOTHING || (is_flat && is_even && paint.is_none()) {
+        if id == NOTHING || (is_flat && is_even && paint.is_none() && !self.has_colours(id)) {
             let lum = self.luminance(id, pixels.start);
             let [n, sum, squares] = shown.sums(pixels);
             if let Some(seen) = seen.get_mut(id as usize) {
@@ -151,6 +157,7 @@ impl<'s> Drawn<'s> {
             return n * lum * lum - 2.0 * lum * sum + squares;
         }
         let (shade, seen) = (&self.shades[id as usize], &mut seen[id as usize]);
+        let on_texture = paint.filter(|_| self.attributes.is_some_and(|a| a.has_coordinates(id)));
         let mean = shade.corners.iter().sum::<f64>() / 3.0;
         let mut energy = 0.0;
         for pixel in pixels {
@@ -172,8 +179,33 @@ impl<'s> Drawn<'s> {
                     seen.drags[k].add(weight, off, self.slope(id, pixel, (share, bare)));
                 }
             }
+            if let Some(paint) = on_texture {
+                self.turn(paint, pixel, (weight, off, bare), &mut seen.turns);
+            }
         }
         energy
+    }
+
+    /// Adds what changes in a pixel as corners move on the texture.
+    fn turn(
+        &self,
+        paint: &Painted,
+        pixel: usize,
+        (weight, off, bare): (f64, f64, f64),
+        turns: &mut [Drag; 3],
+    ) {
+        let (i, j) = ((pixel % self.size) as i32, (pixel / self.size) as i32);
+        let slope = paint.slope(self.scene.texels.words(), i, j);
+        let by =
+            DVec2::from_array(slope.luminance) * (bare / 255.0) + DVec2::from_array(slope.glow);
+        for (turn, share) in turns.iter_mut().zip(slope.shares) {
+            turn.add(weight, off, share * by);
+        }
+    }
+
+    /// Whether a triangle has vertex colours by which is differentiated.
+    fn has_colours(&self, id: u32) -> bool {
+        self.attributes.is_some_and(|a| a.has_colours(id))
     }
 
     /// Adds what changes where two neighbouring pixels show different triangles.
@@ -229,8 +261,17 @@ impl<'s> Drawn<'s> {
 
     /// Adds what changes inside triangles.
     fn inside(&self, seen: &[Seen], motions: &[[DVec3; 2]], sum: &mut Slopes) {
-        for ((face, shade), seen) in self.scene.faces.iter().zip(&self.shades).zip(seen) {
+        for (id, (face, shade)) in self.scene.faces.iter().zip(&self.shades).enumerate() {
+            let seen = &seen[id];
             let Some(face) = face.filter(|_| seen.n > 0.0) else { continue };
+            if let Some(attributes) = self.attributes {
+                let by_albedo = [0, 1, 2].map(|k| {
+                    let (slope, bend) = seen.by_corner(k);
+                    (slope * shade.lights[k], bend * shade.lights[k].powi(2))
+                });
+                let channel = self.scene.views[self.view].channel;
+                attributes.add_up((id as u32, channel), &seen.turns, by_albedo, sum);
+            }
             if !self.paints.is_empty() {
                 for (v, drag) in face.vertices.iter().zip(&seen.drags) {
                     drag.add_to(&mut sum.places[*v as usize], motions[*v as usize]);

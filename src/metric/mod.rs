@@ -4,6 +4,9 @@
 //! Knows nothing of queues, jobs or files.
 
 mod appearance;
+mod attributes;
+#[cfg(test)]
+mod attributes_tests;
 mod bvh;
 mod channels;
 #[cfg(test)]
@@ -24,6 +27,7 @@ mod template;
 mod template_tests;
 
 pub use appearance::is_white;
+pub use attributes::{Attributes, Unknown};
 pub use channels::{Metric, is_grey};
 pub use objective::{
     Objective, Pictures, ViewSet, bounding_sphere, d2_percent, energy_of_d2, pictures_and_unseen,

@@ -8,6 +8,7 @@
 
 use std::sync::Arc;
 
+use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::{
@@ -47,6 +48,11 @@ impl Painting {
     pub fn place(&self, uv: &[f32]) -> [f32; 2] {
         let &[u, v, ..] = uv else { return [0.0; 2] };
         self.transform.map(|[a, b, c]| a * u + b * v + c)
+    }
+
+    /// How the place changes with the coordinates, rightwards and downwards.
+    pub fn turns(&self) -> [DVec3; 2] {
+        self.transform.map(|[a, b, _]| DVec3::new(a.into(), b.into(), 0.0))
     }
 }
 

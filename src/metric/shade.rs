@@ -12,14 +12,21 @@ pub(super) struct Shade {
     /// Flat: how the luminance changes with each corner's place. Smooth: how each corner's luminance
     /// changes with its normal.
     pub by: [DVec3; 3],
+    /// How much of its albedo each corner shows.
+    pub lights: [f64; 3],
     /// Shares of the corners at pixel (0, 0), and their changes to the right and down (only where corners
-    /// differ, or a texture travels with them).
+    /// differ or may come to differ, or a texture travels with them).
     pub shares: [[f64; 3]; 3],
 }
 
 impl Shade {
-    /// Of a triangle whose vertices are drawn at these points.
-    pub fn of(scene: &Scene, view: usize, face: &SceneFace, points: &[DVec2]) -> Self {
+    /// Of a triangle whose vertices are drawn at these points; `has_shares`: shares are wanted in any case.
+    pub fn of(
+        scene: &Scene,
+        view: usize,
+        face: &SceneFace,
+        (points, has_shares): (&[DVec2], bool),
+    ) -> Self {
         let p = face.vertices.map(|v| scene.position(v));
         let area = (p[1] - p[0]).cross(p[2] - p[0]);
         let length = area.length();
@@ -27,7 +34,7 @@ impl Shade {
         match scene.params.shading {
             Shading::Flat => {
                 let mut this = Self::flat(scene, view, face, p, (normal, length));
-                if face.surface.paint.is_some() || !this.is_even() {
+                if has_shares || face.surface.paint.is_some() || !this.is_even() {
                     this.share(face.vertices.map(|v| points[v as usize]));
                 }
                 this
@@ -51,16 +58,17 @@ impl Shade {
         let side = if v.sees_front(centroid, normal) { 1.0 } else { -1.0 };
         let cosine = side * normal.dot(v.to_light);
         if face.surface.is_unlit {
-            return Self { corners: albedos, ..Self::default() };
+            return Self { corners: albedos, lights: [1.0; 3], ..Self::default() };
         }
+        let lights = [ambient + (1.0 - ambient) * cosine.max(0.0); 3];
         let diffuse = albedo * (1.0 - ambient);
         let corners = albedos.map(|a| a * ambient + a * (1.0 - ambient) * cosine.max(0.0));
         if cosine <= 0.0 || length == 0.0 {
-            return Self { corners, ..Self::default() };
+            return Self { corners, lights, ..Self::default() };
         }
         let by_area = side * diffuse / length * (v.to_light - normal * normal.dot(v.to_light));
         let (by1, by2) = ((p[2] - p[0]).cross(by_area), by_area.cross(p[1] - p[0]));
-        Self { corners, by: [-(by1 + by2), by1, by2], ..Self::default() }
+        Self { corners, lights, by: [-(by1 + by2), by1, by2], ..Self::default() }
     }
 
     fn smooth(
@@ -76,12 +84,13 @@ impl Shade {
         for (k, place) in p.into_iter().enumerate() {
             let albedo = f64::from(face.surface.albedo_in(v)[k]);
             if face.surface.is_unlit {
-                this.corners[k] = albedo;
+                (this.corners[k], this.lights[k]) = (albedo, 1.0);
                 continue;
             }
             let side = if v.sees_front(place, normal) { 1.0 } else { -1.0 };
             let cosine = side * scene.normal(face.vertices[k]).dot(v.to_light);
-            this.corners[k] = albedo * (ambient + (1.0 - ambient) * cosine.max(0.0));
+            this.lights[k] = ambient + (1.0 - ambient) * cosine.max(0.0);
+            this.corners[k] = albedo * this.lights[k];
             if cosine > 0.0 {
                 this.by[k] = albedo * (1.0 - ambient) * side * v.to_light;
             }

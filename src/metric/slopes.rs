@@ -17,7 +17,7 @@ use rayon::prelude::*;
 
 use crate::render::{Reference, Scene, Shading};
 
-use super::{drawn::Drawn, shown::Shown};
+use super::{attributes::Attributes, drawn::Drawn, shown::Shown};
 
 /// Slope and bend of the energy at a vertex.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,9 +38,17 @@ impl Slope {
         self.gradient += slope * by;
         self.bend += outer(bend * by, by);
     }
+
+    /// What is left of it where only steps along a direction of length 1 are taken.
+    #[must_use]
+    pub fn along(&self, way: DVec3) -> Self {
+        let bend = way.dot(self.bend * way);
+        Self { gradient: way * way.dot(self.gradient), bend: outer(bend * way, way) }
+    }
 }
 
-/// What changes as a corner takes a texture along: slopes in the picture, and their squares and product.
+/// What changes as a corner takes a texture along in the picture, or moves on it: slopes along two axes, and their
+/// squares and product.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Drag {
     slope: DVec2,
@@ -49,15 +57,15 @@ pub(super) struct Drag {
 }
 
 impl Drag {
-    /// Adds a pixel that counts `weight` times, whose luminance is too much by `off`, and grows by `by` for each pixel
-    /// of motion the other way.
+    /// Adds a pixel that counts `weight` times, whose luminance is too much by `off`, and grows by `by` for each unit of
+    /// motion the other way.
     pub(super) fn add(&mut self, weight: f64, off: f64, by: DVec2) {
         self.slope += 2.0 * weight * off * by;
         self.squares += 2.0 * weight * by * by;
         self.product += 2.0 * weight * by.x * by.y;
     }
 
-    /// `dx` and `dy` are how the corner moves in the picture.
+    /// `dx` and `dy` are how the corner moves along the axes.
     pub(super) fn add_to(&self, at: &mut Slope, [dx, dy]: [DVec3; 2]) {
         at.gradient -= self.slope.x * dx + self.slope.y * dy;
         at.bend += outer(self.squares.x * dx + self.product * dy, dx);
@@ -74,12 +82,32 @@ pub struct Slopes {
     pub places: Vec<Slope>,
     /// By vertex slot: by the normal; empty unless surfaces are smooth and normals their own.
     pub normals: Vec<Slope>,
+    /// By unknown texture coordinate of the [`Attributes`]; the third number is nothing.
+    pub coordinates: Vec<Slope>,
+    /// By unknown vertex colour of these.
+    pub colours: Vec<Slope>,
     /// By triangle: its part of the energy, the background's left out.
     pub faces: Vec<f64>,
 }
 
-/// The energy of a scene against pictures of the original, and its slopes at every vertex.
-pub fn slopes(scene: &Scene, reference: &Reference, has_own_normals: bool) -> Slopes {
+impl Slopes {
+    fn all(&self) -> [&Vec<Slope>; 4] {
+        [&self.places, &self.normals, &self.coordinates, &self.colours]
+    }
+
+    fn all_mut(&mut self) -> [&mut Vec<Slope>; 4] {
+        [&mut self.places, &mut self.normals, &mut self.coordinates, &mut self.colours]
+    }
+}
+
+/// The energy of a scene against pictures of the original, and its slopes at every vertex, and by those `attributes`
+/// that the scene shows.
+pub fn slopes(
+    scene: &Scene,
+    reference: &Reference,
+    has_own_normals: bool,
+    attributes: Option<&Attributes>,
+) -> Slopes {
     let n_slots = scene.faces.iter().flatten().flat_map(|f| f.vertices).max();
     let n_slots = n_slots.map_or(0, |v| v as usize + 1);
     let n_normals = if scene.params.shading == Shading::Smooth { n_slots } else { 0 };
@@ -87,11 +115,14 @@ pub fn slopes(scene: &Scene, reference: &Reference, has_own_normals: bool) -> Sl
         energy: 0.0,
         places: vec![Slope::FLAT; n_slots],
         normals: vec![Slope::FLAT; n_normals],
+        coordinates: vec![Slope::FLAT; attributes.map_or(0, |a| a.coordinates().len())],
+        colours: vec![Slope::FLAT; attributes.map_or(0, |a| a.colours().len())],
         faces: vec![0.0; scene.faces.len()],
     };
     let of_view = |view: usize| {
         let mut part = sum.clone();
-        Drawn::new(scene, view).differentiate(Shown::of(reference, view), &mut part);
+        let drawn = Drawn::new(scene, view, attributes);
+        drawn.differentiate(Shown::of(reference, view), &mut part);
         part
     };
     let parts: Vec<Slopes> = (0..scene.n_views()).into_par_iter().map(of_view).collect();
@@ -99,8 +130,9 @@ pub fn slopes(scene: &Scene, reference: &Reference, has_own_normals: bool) -> Sl
         let weight = f64::from(view.weight);
         sum.energy += weight * part.energy;
         sum.faces.iter_mut().zip(&part.faces).for_each(|(total, one)| *total += weight * one);
-        let totals = sum.places.iter_mut().chain(&mut sum.normals);
-        for (total, one) in totals.zip(part.places.iter().chain(&part.normals)) {
+        for (total, one) in
+            sum.all_mut().into_iter().flatten().zip(part.all().into_iter().flatten())
+        {
             total.gradient += weight * one.gradient;
             total.bend += weight * one.bend;
         }

@@ -7,13 +7,13 @@ use glam::DVec3;
 use serde_json::json;
 
 use super::{
-    Pictures, Slopes, ViewSet, bounding_sphere, scene_of_edit_mesh, scene_with_normals, slopes,
-    with_vertex_normals,
+    Attributes, Metric, Pictures, Slopes, Unknown, ViewSet, bounding_sphere, scene_of_edit_mesh,
+    scene_with_normals, slopes, with_vertex_normals,
 };
 use crate::{
     mesh::{
-        AttributeLayer, EditMesh, Image, Material, Mesh, Pixels, Semantic, Texture, VertexId,
-        shapes,
+        AttributeLayer, EditMesh, Image, Material, Mesh, Pixels, Semantic, Texture, TextureUse,
+        VertexId, shapes,
     },
     render::{
         self, RenderParams, Scene, Shading,
@@ -53,12 +53,38 @@ fn glowing(mut mesh: Mesh) -> Mesh {
     mesh
 }
 
+/// The same mesh with a texture of waves along x and along y.
+pub(super) fn painted(mut mesh: Mesh) -> Mesh {
+    mesh.face_wedges.clone_from(&mesh.faces);
+    let place = |p: &DVec3| [0.3 * p.x as f32 + 0.5, 0.3 * p.y as f32 + 0.5];
+    let values = mesh.positions.iter().flat_map(place).collect();
+    mesh.layers = vec![AttributeLayer { semantic: Semantic::TexCoord(0), width: 2, values }];
+    let wave = |k: u32| libm::sin(f64::from(k) / 5.0);
+    let texel = |k: u32| [(128.0 + 60.0 * (wave(k % 64) + wave(k / 64))) as u8; 4];
+    let rgba = (0..64 * 64).flat_map(texel).collect();
+    let pixels = Some(Arc::new(Pixels { width: 64, height: 64, rgba }));
+    mesh.images = vec![Image { pixels, ..Image::default() }];
+    mesh.textures = vec![Texture { image: Some(0), ..Texture::default() }];
+    let transform = [[1.5, 0.2, -0.3], [-0.1, 1.2, 0.1]];
+    let at = TextureUse { texture: 0, tex_coord: 0, transform };
+    mesh.materials = vec![Material { base_texture: Some(at), ..Material::default() }];
+    mesh
+}
+
 /// A torus in a few views, and a coarser one that stands for it.
 fn stage(shading: Shading, projection: Projection) -> (ViewSet, Mesh) {
     stage_of(shapes::torus(40, 24, 0.0), shading, projection)
 }
 
 fn stage_of(original: Mesh, shading: Shading, projection: Projection) -> (ViewSet, Mesh) {
+    stage_by(original, (shading, projection), Metric::Luminance)
+}
+
+fn stage_by(
+    original: Mesh,
+    (shading, projection): (Shading, Projection),
+    metric: Metric,
+) -> (ViewSet, Mesh) {
     let view_params = ViewParams {
         directions: directions(6).unwrap(),
         fov_degrees: 60.0,
@@ -76,7 +102,7 @@ fn stage_of(original: Mesh, shading: Shading, projection: Projection) -> (ViewSe
     let sphere = bounding_sphere(&original);
     let mut views = cameras(&sphere, &view_params);
     views[2].weight = 5;
-    let pictures = Pictures::of(&original, params, views);
+    let pictures = Pictures::by_metric(&original, params, views, metric);
     let set = ViewSet::turned(&original, &pictures, sphere.center, 1);
     (set, with_vertex_normals(shapes::torus(9, 7, 0.0)))
 }
@@ -100,13 +126,23 @@ fn check(
     move_to: &dyn Fn(&mut Scene, u32, DVec3),
     slope: &dyn Fn(&Slopes, usize) -> DVec3,
 ) {
+    let find = |scene: &Scene| slopes(scene, &set.reference, has_own_normals, None);
+    compare((scene, &find), reach, move_to, slope);
+}
+
+fn compare(
+    (scene, find): (&Scene, &dyn Fn(&Scene) -> Slopes),
+    reach: f64,
+    move_to: &dyn Fn(&mut Scene, u32, DVec3),
+    slope: &dyn Fn(&Slopes, usize) -> DVec3,
+) {
     let (mut found, mut wanted) = (Vec::new(), Vec::new());
     for v in [3_u32, 17, 44] {
         for direction in DVec3::AXES {
             let at = |t: f64| {
                 let mut scene = scene.clone();
                 move_to(&mut scene, v, direction * (reach * t));
-                slopes(&scene, &set.reference, has_own_normals)
+                find(&scene)
             };
             wanted.push(at(1.0).energy - at(-1.0).energy);
             let step = 2.0 / N_STEPS as f64;
@@ -180,7 +216,7 @@ fn the_energy_is_that_of_the_pictures() {
         let drawn = render::reference(&scene).pictures;
         for set in [set.clone(), weighed(set)] {
             let wanted = render::energy(&set.pictures.views, &set.reference, &drawn) as f64;
-            let found = slopes(&scene, &set.reference, false).energy;
+            let found = slopes(&scene, &set.reference, false, None).energy;
             // Luminances of the pictures are rounded.
             assert!((found / wanted - 1.0).abs() < 0.01, "{shading:?}: {found} {wanted}");
         }
@@ -206,11 +242,62 @@ fn normals_of_their_own() {
     check((&set, &scene), true, 0.2, &turn, &|s, v| s.normals[v].gradient);
 }
 
+/// The values of some unknowns, the first of which are those of the vertices.
+fn values(unknowns: &[Unknown]) -> Vec<DVec3> {
+    unknowns.iter().map(|u| u.at).collect()
+}
+
+#[test]
+fn texture_coordinates() {
+    let painted: fn(Mesh) -> Mesh = painted;
+    for (dressed, shading) in
+        [(painted, Shading::Flat), (painted, Shading::Smooth), (glowing, Shading::Flat)]
+    {
+        let original = dressed(shapes::torus(40, 24, 0.0));
+        let (set, _) = stage_of(original, shading, Projection::Perspective);
+        let mesh = EditMesh::new(dressed(shapes::torus(9, 7, 0.0))).unwrap();
+        let scene = scene_of_edit_mesh(&mesh, &set.pictures);
+        let attributes = Attributes::of(&mesh, &set.pictures.palette);
+        let find = |scene: &Scene| slopes(scene, &set.reference, false, Some(&attributes));
+        let shift = |scene: &mut Scene, v: u32, by: DVec3| {
+            let mut coordinates = values(attributes.coordinates());
+            coordinates[v as usize] += by.with_z(0.0);
+            attributes.dress(scene, &coordinates, &[]);
+        };
+        compare((&scene, &find), 0.04, &shift, &|s, v| s.coordinates[v].gradient);
+        assert_eq!(find(&scene).energy, slopes(&scene, &set.reference, false, None).energy);
+    }
+}
+
+#[test]
+fn colours() {
+    for (metric, shading) in [
+        (Metric::Luminance, Shading::Flat),
+        (Metric::Luminance, Shading::Smooth),
+        (Metric::Rgb, Shading::Flat),
+    ] {
+        let original = coloured(shapes::torus(40, 24, 0.0));
+        let (set, mesh) = stage_by(original, (shading, Projection::Perspective), metric);
+        let mut mesh = coloured(mesh);
+        mesh.materials = vec![Material { base_color: [0.9, 0.8, 0.7, 1.0], ..Material::default() }];
+        let mesh = EditMesh::new(mesh).unwrap();
+        let scene = scene_of_edit_mesh(&mesh, &set.pictures);
+        let attributes = Attributes::of(&mesh, &set.pictures.palette);
+        let find = |scene: &Scene| slopes(scene, &set.reference, false, Some(&attributes));
+        let stain = |scene: &mut Scene, v: u32, by: DVec3| {
+            let mut colours = values(attributes.colours());
+            colours[v as usize] += by;
+            attributes.dress(scene, &[], &colours);
+        };
+        compare((&scene, &find), 0.08, &stain, &|s, v| s.colours[v].gradient);
+    }
+}
+
 #[test]
 fn bends_are_those_of_a_bowl_and_unseen_vertices_have_none() {
     let (set, mesh) = stage(Shading::Flat, Projection::Perspective);
     let mesh = EditMesh::new(mesh).unwrap();
-    let found = slopes(&scene_of_edit_mesh(&mesh, &set.pictures), &set.reference, false);
+    let found = slopes(&scene_of_edit_mesh(&mesh, &set.pictures), &set.reference, false, None);
     assert!(found.energy > 0.0 && found.normals.is_empty());
     for (v, slope) in found.places.iter().enumerate() {
         assert!(mesh.is_used(VertexId(v as u32)));

@@ -338,6 +338,7 @@ impl<'a> Alternation<'a> {
         let unknowns = Unknowns {
             has_own_normals: self.has_own_normals,
             normals: self.has_own_normals && self.params.optimizes_normals,
+            attributes: self.params.optimizes_attributes,
         };
         let (spent, total) = (self.outcome.evaluations, self.params.max_evaluations);
         if n_steps == 0 {

@@ -138,7 +138,7 @@ impl Alternation<'_> {
             let mut sum = vec![0.0; mesh.n_face_slots()];
             for set in self.sets {
                 let scene = scene_as_drawn(mesh, &set.pictures, self.has_own_normals);
-                let found = slopes(&scene, &set.reference, self.has_own_normals);
+                let found = slopes(&scene, &set.reference, self.has_own_normals, None);
                 sum.iter_mut().zip(&found.faces).for_each(|(all, one)| *all += one);
             }
             sum

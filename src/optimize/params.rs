@@ -48,6 +48,8 @@ pub struct Params {
     pub closes_holes: bool,
     /// Vertex normals are unknowns too (only where the objective has normals of its own).
     pub optimizes_normals: bool,
+    /// Texture coordinates and vertex colours are unknowns of descents (only where pictures show some).
+    pub optimizes_attributes: bool,
     /// Samples of the energy curve are so many evaluations apart.
     pub sample_every: u64,
 }
@@ -77,6 +79,7 @@ impl Default for Params {
             allows_uphill: false,
             closes_holes: false,
             optimizes_normals: false,
+            optimizes_attributes: false,
             sample_every: 4096,
         }
     }

@@ -2,31 +2,73 @@
 
 use std::ops::ControlFlow;
 
-use super::{OptimizeError, Optimizer, Outcome, Params, Solver, StoppedBy, Turns, alternate};
+use glam::DVec3;
+
+use super::{
+    OptimizeError, Optimizer, Outcome, Params, Solver, StoppedBy, Turns, alternate,
+    descent::{self, Destination, Unknowns},
+};
 use crate::{
     memoryless,
-    mesh::{EditMesh, Mesh, Sample, Semantic, Step, shapes},
+    mesh::{
+        AttributeLayer, EditMesh, Image, Marks, Material, Mesh, Pixels, Sample, Semantic, Step,
+        Texture, TextureUse, WedgeId, shapes,
+    },
     metric::{
-        Objective, Pictures, ViewSet, bounding_sphere, reference_pictures, scene_as_drawn,
+        Objective, Pictures, ViewSet, bounding_sphere, reference_pictures, scene_as_drawn, slopes,
         with_vertex_normals,
     },
     render::{
         RenderParams, Shading, Twin,
         view::{Projection, ViewParams, cameras, directions},
     },
-    tape::Tape,
+    tape::{Answer, Tape},
 };
 
 /// A torus with bumps, and what 100 triangles are left of it.
 fn models() -> (Mesh, Mesh) {
-    let original = shapes::torus(24, 16, 0.2);
+    models_of(shapes::torus(24, 16, 0.2))
+}
+
+fn models_of(original: Mesh) -> (Mesh, Mesh) {
     let mut mesh = EditMesh::new(original.clone()).unwrap();
     let params = memoryless::Params::default();
     memoryless::simplify(&mut mesh, 100, &params, &mut |_| ControlFlow::Continue(()));
     (original, mesh.snapshot())
 }
 
+/// A mesh with a value for each vertex, which is a wave.
+fn with_layer(mut mesh: Mesh, semantic: Semantic, width: usize, value: fn(f64) -> f64) -> Mesh {
+    mesh.face_wedges.clone_from(&mesh.faces);
+    let values = |p: &DVec3| [p.x, p.y, p.z, 1.0].map(|x| value(x) as f32);
+    let values = mesh.positions.iter().flat_map(|p| values(p).into_iter().take(width)).collect();
+    mesh.layers = vec![AttributeLayer { semantic, width, values }];
+    mesh
+}
+
+/// With a texture of stripes, far from evenly laid out.
+fn striped(mesh: Mesh) -> Mesh {
+    let place = |x: f64| 0.5 + 0.3 * x + 0.05 * libm::sin(4.0 * x);
+    let mut mesh = with_layer(mesh, Semantic::TexCoord(0), 2, place);
+    let texel = |k: u32| [if (k % 64 / 8 + k / 512).is_multiple_of(2) { 60 } else { 250 }; 4];
+    let pixels = Pixels { width: 64, height: 64, rgba: (0..64 * 64).flat_map(texel).collect() };
+    mesh.images = vec![Image { pixels: Some(pixels.into()), ..Image::default() }];
+    mesh.textures = vec![Texture { image: Some(0), ..Texture::default() }];
+    let transform = TextureUse::IDENTITY;
+    let base_texture = Some(TextureUse { texture: 0, tex_coord: 0, transform });
+    mesh.materials = vec![Material { base_texture, ..Material::default() }];
+    mesh
+}
+
+fn coloured(mesh: Mesh) -> Mesh {
+    with_layer(mesh, Semantic::Color(0), 4, |x| 0.5 + 0.2 * libm::sin(3.0 * x))
+}
+
 fn pictures(original: &Mesh, shading: Shading) -> Pictures {
+    pictures_of(original, shading, 64)
+}
+
+fn pictures_of(original: &Mesh, shading: Shading, image_size: u32) -> Pictures {
     let view_params = ViewParams {
         directions: directions(6).unwrap(),
         fov_degrees: 60.0,
@@ -34,7 +76,7 @@ fn pictures(original: &Mesh, shading: Shading) -> Pictures {
         light_degrees: 10.0,
     };
     let params = RenderParams {
-        image_size: 64,
+        image_size,
         shading,
         ambient: 0.1,
         background: 128,
@@ -191,6 +233,102 @@ fn turns_are_repeatable_and_move_normals_where_asked() {
     assert!(free.mesh == again.mesh && free.samples == again.samples);
     assert!(free.replayed == free.mesh && still.replayed == still.mesh);
     assert!(free.outcome.energy_after < still.outcome.energy_after);
+}
+
+#[test]
+fn texture_coordinates_and_colours_move_where_asked() {
+    let torus = || shapes::torus(24, 16, 0.2);
+    for dressed in [striped(torus()), coloured(torus())] {
+        let (original, simplified) = models_of(dressed);
+        let pictures = pictures(&original, Shading::Flat);
+        let [still, free, again] = [false, true, true].map(|optimizes_attributes| {
+            let params = Params { optimizes_attributes, ..budget(5_000) };
+            take_turns(&original, simplified.clone(), &pictures, &params, 0)
+        });
+        assert!(free.mesh == again.mesh && free.samples == again.samples);
+        assert!(free.replayed == free.mesh && still.replayed == still.mesh);
+        let [still_energy, energy] = [&still, &free].map(|ran| ran.outcome.energy_after);
+        assert!(energy < still_energy, "{energy} instead of {still_energy}");
+        let layer = |mesh: &Mesh| mesh.layers[0].clone();
+        let (before, after) = (layer(&original), layer(&free.mesh));
+        for at in 0..before.width {
+            let numbers = |l: &AttributeLayer| -> Vec<f32> {
+                l.values.iter().skip(at).step_by(l.width).copied().collect()
+            };
+            let end = |l: &AttributeLayer, pick: fn(f32, f32) -> f32| {
+                numbers(l).into_iter().reduce(pick).unwrap()
+            };
+            let (low, high) = match before.semantic {
+                Semantic::Color(_) if at < 3 => (0.0, 1.0),
+                _ => (end(&before, f32::min), end(&before, f32::max)),
+            };
+            assert!(end(&after, f32::min) >= low && end(&after, f32::max) <= high, "{at}");
+        }
+    }
+}
+
+/// What differs is where the stripes are, or the colours: descents find most of it again. A triangle has 512 pixels, as
+/// wherever descents are made.
+#[test]
+fn descents_find_coordinates_and_colours_again() {
+    let torus = || shapes::torus(12, 8, 0.2);
+    for (original, off) in [(striped(torus()), 0.015), (coloured(torus()), 0.1)] {
+        let mut wrong = original.clone();
+        let waves = |i: usize| if i.is_multiple_of(3) { off } else { -off };
+        let values = wrong.layers[0].values.iter_mut().enumerate();
+        values.for_each(|(i, value)| *value = (*value + waves(i)).clamp(0.0, 1.0));
+        let pictures = pictures_of(&original, Shading::Flat, 128);
+        let sets = [ViewSet::turned(&original, &pictures, bounding_sphere(&original).center, 0)];
+        let energy = |mesh: &EditMesh| {
+            let scene = scene_as_drawn(mesh, &sets[0].pictures, false);
+            slopes(&scene, &sets[0].reference, false, None).energy
+        };
+        let after = |attributes| {
+            let mut mesh = EditMesh::new(wrong.clone()).unwrap();
+            let unknowns = Unknowns { has_own_normals: false, normals: false, attributes };
+            let on = &mut |_| ControlFlow::Continue(());
+            let found = descent::descend(&mesh, &sets, (0, 40), unknowns, on);
+            descent::go(&mut mesh, &found.continue_value().unwrap());
+            energy(&mesh)
+        };
+        let before = energy(&EditMesh::new(wrong.clone()).unwrap());
+        let (still, free) = (after(false), after(true));
+
+        assert!(free < 0.3 * before && free < 0.5 * still, "{before}, {still}, {free}");
+    }
+}
+
+/// With locked vertices their values stay, too.
+#[test]
+fn values_at_locked_vertices_stay() {
+    let (original, simplified) = models_of(striped(shapes::torus(24, 16, 0.2)));
+    let pictures = pictures(&original, Shading::Flat);
+    let sets = [ViewSet::turned(&original, &pictures, bounding_sphere(&original).center, 0)];
+    let is_locked = |v: usize| v.is_multiple_of(3);
+    let locked = (0..simplified.positions.len()).map(is_locked).collect();
+    let mesh = EditMesh::new(simplified.clone()).unwrap();
+    let mut mesh = mesh.with_marks(Marks { locked, ..Marks::default() });
+    let unknowns = Unknowns { has_own_normals: false, normals: false, attributes: true };
+    let found =
+        descent::descend(&mesh, &sets, (0, 12), unknowns, &mut |_| ControlFlow::Continue(()));
+    let found = found.continue_value().unwrap();
+    descent::go(&mut mesh, &found);
+    let after = mesh.mesh();
+    let layer = &after.layers[0];
+    let (mut n_moved, mut n_kept) = (0, 0);
+    for (face, (old, new)) in simplified.face_wedges.iter().zip(&after.face_wedges).enumerate() {
+        for k in 0..3 {
+            let stays = layer.get(WedgeId(old[k])) == layer.get(WedgeId(new[k]));
+            let is_free = !is_locked(simplified.faces[face][k] as usize);
+            assert!(stays || is_free, "a corner of a locked vertex");
+            *if stays { &mut n_kept } else { &mut n_moved } += 1;
+        }
+    }
+    assert!(n_moved > 100 && n_kept > 100, "{n_moved} moved, {n_kept} kept");
+    // Nothing is lost on a tape.
+    let mut bytes = Vec::new();
+    found.write(&mut bytes);
+    assert_eq!(Destination::read(&mut bytes.as_slice()), Some(found));
 }
 
 #[test]

@@ -30,7 +30,7 @@ pub use device::{AdapterInfo, adapters};
 pub use evaluator::{Evaluator, FULL_WEIGHT, Reference, RenderError};
 pub use moves::{AddedFace, MAX_MOVE_VERTICES, Move};
 pub use nearest::{NOTHING, Nearest};
-pub use paint::{Alpha, Paint, Painted, Sieve, Texels};
+pub use paint::{Alpha, Paint, PaintSlope, Painted, Sieve, Texels};
 pub use raster::{energy, picture, reference, reference_and_seen};
 pub use scene::{RenderParams, Scene, SceneFace, Shading, Surface};
 pub use taped::{Maker, Taped};

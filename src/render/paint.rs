@@ -110,6 +110,17 @@ pub struct Painted {
     pub glow_at: Option<NonZeroU32>,
 }
 
+/// What a texture on a triangle does at a pixel when its coordinates change.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PaintSlope {
+    /// What the pixel has of each corner.
+    pub shares: [f64; 3],
+    /// How the luminance there changes with the place on the texture, which is 1 wide and high.
+    pub luminance: [f64; 2],
+    /// The same of what is given off.
+    pub glow: [f64; 2],
+}
+
 /// Where a level of a texture has holes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Holes {
@@ -376,12 +387,34 @@ impl Painted {
         })
     }
 
+    /// How it changes at pixel (i, j) with the coordinates of its corners.
+    pub fn slope(&self, words: &[u32], i: i32, j: i32) -> PaintSlope {
+        let [one, two] = self.shares(i, j).map(|share| f64::from(share) / f64::from(1 << 15));
+        let place = self.place(i, j);
+        let slope = |first: u32| {
+            let by = slope_at(self.bits, words, first, place);
+            let is_held = |axis: usize| self.range[axis].contains(&place[axis]);
+            [0, 1].map(|axis| if is_held(axis) { 0.0 } else { by[axis] })
+        };
+        PaintSlope {
+            shares: [1.0 - one - two, one, two],
+            luminance: slope(self.at),
+            glow: self.glow_at.map_or([0.0; 2], |at| slope(at.get())),
+        }
+    }
+
+    /// What pixel (i, j) has of corners 1 and 2, in 2^15ths.
+    #[inline]
+    fn shares(&self, i: i32, j: i32) -> [i32; 2] {
+        let [near, one, two] = [0, 1, 2].map(|k| self.planes[k].at(i, j, PAINT_BITS) as u32);
+        let per_near = (1 << 29) / near.max(1);
+        [one, two].map(|share| (share.wrapping_mul(per_near) >> 14) as i32)
+    }
+
     /// Texel coordinates at pixel (i, j), in 64ths.
     #[inline]
     fn place(&self, i: i32, j: i32) -> [i32; 2] {
-        let [near, one, two] = [0, 1, 2].map(|k| self.planes[k].at(i, j, PAINT_BITS) as u32);
-        let per_near = (1 << 29) / near.max(1);
-        let shares = [one, two].map(|share| (share.wrapping_mul(per_near) >> 14) as i32);
+        let shares = self.shares(i, j);
         [0, 1].map(|axis| {
             let by = shares[0]
                 .wrapping_mul(self.to[0][axis])
@@ -395,17 +428,26 @@ impl Painted {
 /// What lies at some coordinates, in 64ths of a texel, of a level of 2^`bits` texels that begins at a word.
 #[inline]
 fn look_up(bits: [u32; 2], words: &[u32], first: u32, [x, y]: [i32; 2]) -> u32 {
-    let mask = bits.map(|b| (1_i32 << b) - 1);
-    let texel = ((y >> TEXEL_BITS & mask[1]) << bits[0]) + (x >> TEXEL_BITS & mask[0]);
-    let [a, b, c, d] = words
-        .get(first as usize + texel as usize)
-        .copied()
-        .unwrap_or(u32::MAX)
-        .to_le_bytes()
-        .map(u32::from);
+    let [a, b, c, d] = four_at(bits, words, first, [x, y]).map(u32::from);
     let (fx, fy) = ((x & 63) as u32, (y & 63) as u32);
     let (top, bottom) = (a * (64 - fx) + b * fx, c * (64 - fx) + d * fx);
     (top * (64 - fy) + bottom * fy + 2048) >> 12
+}
+
+/// The texels around some coordinates: left and right above, left and right below.
+#[inline]
+fn four_at(bits: [u32; 2], words: &[u32], first: u32, [x, y]: [i32; 2]) -> [u8; 4] {
+    let mask = bits.map(|b| (1_i32 << b) - 1);
+    let texel = ((y >> TEXEL_BITS & mask[1]) << bits[0]) + (x >> TEXEL_BITS & mask[0]);
+    words.get(first as usize + texel as usize).copied().unwrap_or(u32::MAX).to_le_bytes()
+}
+
+/// How what [`look_up`] finds changes along the width and the height of the texture.
+fn slope_at(bits: [u32; 2], words: &[u32], first: u32, [x, y]: [i32; 2]) -> [f64; 2] {
+    let [a, b, c, d] = four_at(bits, words, first, [x, y]).map(f64::from);
+    let [fx, fy] = [x, y].map(|place| f64::from(place & 63) / 64.0);
+    let by_texel = [(b - a) * (1.0 - fy) + (d - c) * fy, (c - a) * (1.0 - fx) + (d - b) * fx];
+    [0, 1].map(|axis| by_texel[axis] * f64::from(1_u32 << bits[axis]))
 }
 
 /// A luminance seen through a texture's: the product of two shares of 255, rounded.

@@ -100,6 +100,7 @@ pub fn optimization(spec: &Spec, budget: &Budget, n_faces: usize) -> optimize::P
         },
         closes_holes: topology(spec) == Topology::Free,
         optimizes_normals: spec.optimize.normals,
+        optimizes_attributes: !spec.optimize.keep_attributes,
         ..optimize::Params::default()
     }
 }

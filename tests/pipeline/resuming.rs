@@ -3,6 +3,8 @@
 use std::sync::{Arc, Mutex};
 
 use lookalike::{
+    compare::textured_torus,
+    io::write_glb,
     jobs::{
         event::Report,
         spec::{Effort, Optimize, Render, Shading, Spec},
@@ -109,6 +111,16 @@ fn smooth_shading_with_normals_of_its_own() {
     let render = Render { shading: Shading::Smooth, ..small() };
     let spec = Spec { effort: Effort::Fast, render, optimize, ..Spec::new(vec![120]) };
     check(&spec, &Inputs::of("sample.glb", &sample(1500)), 5);
+}
+
+#[test]
+fn texture_coordinates_of_a_torus() {
+    let optimize = budget(6_000);
+    let render = Render { image_size: 128, ..small() };
+    let spec =
+        Spec { effort: Effort::Fast, start_factor: 2.0, render, optimize, ..Spec::new(vec![150]) };
+    let input = write_glb(&textured_torus()).unwrap();
+    check(&spec, &Inputs::of("torus.glb", &input), 3);
 }
 
 #[test]

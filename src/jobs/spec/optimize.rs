@@ -33,6 +33,8 @@ pub struct Optimize {
     pub solver: Solver,
     /// Vertex normals are found too; needs smooth shading.
     pub normals: bool,
+    /// Texture coordinates and vertex colours stay as simplification leaves them; else they are found too.
+    pub keep_attributes: bool,
 }
 
 impl Default for Optimize {
@@ -44,6 +46,7 @@ impl Default for Optimize {
             delta: 0.1,
             solver: Solver::default(),
             normals: false,
+            keep_attributes: false,
         }
     }
 }

@@ -24,13 +24,23 @@ fn random_edit(mesh: &mut EditMesh, rng: &mut Rng) -> Option<EditRecord> {
     let middle = mesh.position(a).midpoint(mesh.position(b));
     let at = [mesh.position(a), mesh.position(b), middle, middle + off][rng.below(4)];
     let normal = off.normalize_or_zero().as_vec3().to_array();
-    match rng.below(7) {
+    match rng.below(8) {
         0 => mesh.split(a, b, at).map(EditRecord::Split),
         1 | 2 => mesh.swap(a, b).map(EditRecord::Swap),
         3 => Some(EditRecord::Collapse(mesh.collapse(a, b, at))),
         4 => {
             let values = [(a, normal), (b, [0.0, -0.0, 1.0])];
             mesh.revalue(Semantic::Normal, &values).map(EditRecord::Revalue)
+        }
+        5 => {
+            // Some of the corners of each end.
+            let corner = |v| {
+                let face = mesh.faces_around(v)[0];
+                let k = mesh.vertices_of(face).iter().position(|w| *w == v).unwrap();
+                (Corner::new(face, k), [normal[0], normal[1]])
+            };
+            let values = [a, b].map(corner);
+            mesh.revalue_shared(Semantic::TexCoord(0), &values).map(EditRecord::Revalue)
         }
         _ => Some(EditRecord::Displacement(mesh.displace(b, at))),
     }

@@ -151,6 +151,7 @@ fn optimization_to_wire(optimize: &Optimize) -> v1::Optimization {
         delta: Some(optimize.delta),
         solver: to_wire(&SOLVERS, optimize.solver),
         normals: optimize.normals,
+        keep_attributes: optimize.keep_attributes,
     }
 }
 
@@ -284,6 +285,7 @@ fn optimization_from_wire(wire: &v1::Optimization, faults: &mut Vec<Fault>) -> O
         delta: wire.delta.unwrap_or(Optimize::default().delta),
         solver: from_wire(&SOLVERS, wire.solver, "optimize.solver", faults),
         normals: wire.normals,
+        keep_attributes: wire.keep_attributes,
     }
 }
 
@@ -384,6 +386,7 @@ mod tests {
                     delta: x[3],
                     solver: words.4,
                     normals: n[0] % 2 == 0,
+                    keep_attributes: n[1] % 2 == 0,
                 },
                 output: Output { quantize: n[1] % 2 == 0, compress: n[2] % 2 == 0 },
                 max_evaluations,
