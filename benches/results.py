@@ -23,6 +23,7 @@ from pathlib import Path
 
 import assets
 import cores
+import dress
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -221,7 +222,13 @@ def machine(jobs: int) -> str:
     return f"{len(os.sched_getaffinity(0))} cores"
 
 
-def page(rows: list[Row], models: list[assets.Model], absent: list[str], jobs: int) -> str:
+def page(
+    rows: list[Row],
+    models: list[assets.Model],
+    dressed: list[dress.Dressed],
+    absent: list[str],
+    jobs: int,
+) -> str:
     """The whole page."""
     device = rows[0].device if rows else "none"
     parts = [
@@ -250,6 +257,8 @@ def page(rows: list[Row], models: list[assets.Model], absent: list[str], jobs: i
         ]
     if models:
         parts += assets.section(models)
+    if dressed:
+        parts += dress.section(dressed)
     return "\n".join(parts) + "\n"
 
 
@@ -297,9 +306,15 @@ def main() -> None:
                 pool.submit(assets.measure, args.binary, path, Path(folder), args.device)
                 for path in paths
             ]
+            turning = [
+                pool.submit(dress.measure, args.binary, path, Path(folder), args.device)
+                for path in paths
+                if path.stem in dress.MODELS
+            ]
             rows = [running[n].result() for n, _ in there]
             models = sorted((m.result() for m in measuring), key=lambda m: m.name)
-    args.out.write_text(page(rows, models, absent, args.jobs) + service_section(args.out))
+            dressed = sorted((t.result() for t in turning), key=lambda d: d.name)
+    args.out.write_text(page(rows, models, dressed, absent, args.jobs) + service_section(args.out))
     print(args.out)
 
 
