@@ -16,7 +16,7 @@
 //! Measured at effort fast, 3% of the triangles, unseen d2 with textures by the independent evaluator, without and with
 //! these unknowns: spot 15.69 and 15.04, fish 5.69 and 5.60, corset 7.44 and 7.22, torus 5.73 and 5.61, helmet 4.19 and
 //! 4.04, frog (vertex colours) 3.26 and 3.06; one run each. The geometric mean is .966, for 1 to 16% more seconds. Where
-//! a budget allows few descents it can be the other way: of 20 levels fish at 10% is the one that gets worse (3.21 and
+//! a budget allows few descents it can be the other way: of 8 levels taken both ways fish at 10% gets worse (3.21 and
 //! 3.30: the joint descents did not help and were taken back; steps of a tenth on the texture help those, not the end).
 
 use std::sync::Arc;
