@@ -9,7 +9,7 @@
 use glam::DVec3;
 
 use super::{IoError, report::Note, source::Source};
-use crate::mesh::{Image, Material, Semantic, Texture, Tree};
+use crate::mesh::{Image, Material, Semantic, Texture, Tree, skin};
 
 /// A primitive as placed, or all faces of a file without primitives.
 #[derive(Debug, Default)]
@@ -63,6 +63,7 @@ pub(super) fn defaults_of(semantic: Semantic) -> &'static [f32] {
         Semantic::Tangent => &[0.0, 0.0, 0.0, 1.0],
         Semantic::TexCoord(_) => &[0.0, 0.0],
         Semantic::Color(_) => &[1.0, 1.0, 1.0, 1.0],
+        Semantic::Skin => &[0.0; skin::WIDTH],
         Semantic::Custom(_) => &[0.0],
     }
 }

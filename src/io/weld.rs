@@ -90,14 +90,16 @@ fn choose_layers(patches: &[Patch], notes: &mut Notes) -> Vec<Semantic> {
         Semantic::Tangent => (1, 0),
         Semantic::TexCoord(set) => (2, set),
         Semantic::Color(set) => (3, set),
-        Semantic::Custom(set) => (4, set),
+        Semantic::Skin => (4, 0),
+        Semantic::Custom(set) => (5, set),
     });
     let everywhere = |s| patches.iter().all(|p| p.triangles.is_empty() || has(p, s));
     if layers.contains(&Semantic::Tangent) && !everywhere(Semantic::Tangent) {
         layers.retain(|s| *s != Semantic::Tangent);
         notes.add("tangents_dropped", "tangents are left out: some primitives have none");
     }
-    for &s in layers.iter().filter(|&&s| !everywhere(s)) {
+    // Parts without a skin have no joints.
+    for &s in layers.iter().filter(|&&s| s != Semantic::Skin && !everywhere(s)) {
         notes.add("attribute_filled", format!("{} is filled in where missing", name_of(s)));
     }
     layers
@@ -190,6 +192,7 @@ pub(super) fn name_of(semantic: Semantic) -> String {
         Semantic::Tangent => "tangent".to_owned(),
         Semantic::TexCoord(set) => format!("texture coordinate set {set}"),
         Semantic::Color(set) => format!("colour set {set}"),
+        Semantic::Skin => "skin".to_owned(),
         Semantic::Custom(id) => format!("custom attribute {id}"),
     }
 }

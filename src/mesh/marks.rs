@@ -89,7 +89,7 @@ fn edges_of(mesh: &Mesh) -> BTreeMap<[u32; 2], Vec<FaceId>> {
     edges
 }
 
-/// Whether something other than normals and tangents changes across an edge of two triangles.
+/// Whether something other than normals, tangents and skins changes across an edge of two triangles.
 fn is_seam(mesh: &Mesh, ends: [u32; 2], faces: &[FaceId]) -> bool {
     let &[one, other] = faces else { return false };
     let wedge = |f: FaceId, v: u32| {
@@ -99,7 +99,7 @@ fn is_seam(mesh: &Mesh, ends: [u32; 2], faces: &[FaceId]) -> bool {
     let differs = |v: &u32| match (wedge(one, *v), wedge(other, *v)) {
         (Some(a), Some(b)) if a != b => mesh.layers.iter().any(|layer| {
             let values = |w: usize| &layer.values[w * layer.width..][..layer.width];
-            !matches!(layer.semantic, Semantic::Normal | Semantic::Tangent)
+            !matches!(layer.semantic, Semantic::Normal | Semantic::Tangent | Semantic::Skin)
                 && values(a) != values(b)
         }),
         _ => false,

@@ -15,6 +15,7 @@ mod parts;
 mod refine;
 mod revise;
 pub mod shapes;
+pub mod skin;
 mod snapshot;
 mod source;
 mod step;
@@ -35,7 +36,7 @@ pub use model::{
     AttributeLayer, Corner, Coverage, EdgeId, FaceId, Image, Material, Mesh, Pixels, Semantic,
     Texture, TextureUse, VertexId, WedgeId, Wrap,
 };
-pub use parts::{Node, Part, Tree};
+pub use parts::{Node, Part, Skin, Tree};
 pub use snapshot::Snapshot;
 pub use source::{Emission, Glow, Glowing};
 pub use step::{MoveCount, Sample, Stage, Step};

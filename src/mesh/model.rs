@@ -95,6 +95,8 @@ pub enum Semantic {
     TexCoord(u32),
     /// Linear colour of the given set, 4 values (RGBA).
     Color(u32),
+    /// What moves a vertex in a skin ([`super::skin`]), 8 values.
+    Skin,
     /// An application-specific scalar or vector, kept and interpolated.
     Custom(u32),
 }

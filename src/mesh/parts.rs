@@ -1,4 +1,5 @@
-//! The tree of nodes that a model came with, and the parts of the mesh that its nodes placed.
+//! The tree of nodes that a model came with, the parts of the mesh that its nodes placed, and the skins that
+//! move them.
 
 use serde::{Deserialize, Serialize};
 
@@ -12,6 +13,10 @@ pub struct Node {
     /// none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub parent: Option<u32>,
+    /// glTF's `translation`, `rotation`, `scale` or `matrix`, word for word, of a joint and of what is above one.
+    /// Others have none: their geometry is in world space.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub transform: Option<serde_json::Value>,
 }
 
 /// An instance of a mesh: what one node placed.
@@ -22,15 +27,46 @@ pub struct Part {
     /// Name of the mesh in the source file, may be empty.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub mesh: String,
+    /// Index into [`Tree::skins`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub skin: Option<u32>,
+}
+
+/// Joints that move vertices: where a vertex has share `w` of joint `j`, `world_from_node[j] joint_from_world[j] w` of
+/// it goes along (glTF 2.0 §3.7.3.1).
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Skin {
+    /// Name in the source file, may be empty.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub name: String,
+    /// The number that wedges know its first joint by; the others follow ([`Semantic::Skin`](super::Semantic)).
+    pub first_joint: u32,
+    /// Indices into [`Tree::nodes`].
+    pub joints: Vec<u32>,
+    /// Inverse bind matrices, column by column, as many as joints.
+    pub joint_from_world: Vec<[f32; 16]>,
+    /// The joints' common root, as the file names it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub skeleton: Option<u32>,
+}
+
+impl Skin {
+    /// The numbers of its joints.
+    pub fn numbers(&self) -> std::ops::Range<u32> {
+        self.first_joint..self.first_joint.saturating_add(self.joints.len() as u32)
+    }
 }
 
 /// Nodes and the parts that they placed. Empty for formats without nodes.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Tree {
     /// Parents come before their children.
     pub nodes: Vec<Node>,
     /// What triangles refer to.
     pub parts: Vec<Part>,
+    /// What parts refer to.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub skins: Vec<Skin>,
 }
 
 impl Tree {
@@ -52,6 +88,7 @@ impl Tree {
     pub fn says_nothing(&self) -> bool {
         let is_bare = |node: &Node| node.name.is_empty() && node.parent.is_none();
         self.nodes.len() <= 1
+            && self.skins.is_empty()
             && self.nodes.iter().all(is_bare)
             && self.parts.iter().all(|part| part.mesh.is_empty())
     }

@@ -40,7 +40,7 @@ fn with_wedges(mut mesh: Mesh) -> Mesh {
     ];
     mesh.face_materials = (0..mesh.faces.len() as u32).map(|f| f % 2).collect();
     mesh.face_parts = (0..mesh.faces.len() as u32).map(|f| f % 3).collect();
-    mesh.tree = Tree { nodes: Vec::new(), parts: vec![Part::default(); 3] }.into();
+    mesh.tree = Tree { parts: vec![Part::default(); 3], ..Tree::default() }.into();
     mesh
 }
 
@@ -151,7 +151,7 @@ fn a_swap_turns_the_diagonal_and_a_seam_forbids_it() {
     assert_eq!(mesh.snapshot(), square);
     let mut seamed = EditMesh::new(with_wedges(square.clone())).unwrap();
     assert!(seamed.swap(VertexId(0), VertexId(2)).is_none());
-    let tree = Tree { nodes: Vec::new(), parts: vec![Part::default(); 2] }.into();
+    let tree = Tree { parts: vec![Part::default(); 2], ..Tree::default() }.into();
     let parted = Mesh { face_parts: vec![0, 1], tree, ..square };
     let mut parted = EditMesh::new(parted).unwrap();
     assert!(parted.swap(VertexId(0), VertexId(2)).is_none(), "the triangles are of two parts");

@@ -12,6 +12,7 @@ use smallvec::SmallVec;
 use super::edit::{Collapse, RemovedFace};
 use super::edit_mesh::EditMesh;
 use super::model::{AttributeLayer, FaceId, Semantic, WedgeId};
+use super::skin;
 
 /// Two wedges that become one.
 pub(super) type Pair = [WedgeId; 2];
@@ -31,6 +32,10 @@ impl EditMesh {
         for pair in pairs {
             for layer in &self.mesh.layers {
                 let [a, b] = pair.map(|wedge| layer.get(wedge));
+                if layer.semantic == Semantic::Skin {
+                    values.extend(skin::mean(&[(1.0 - t, a), (t, b)]));
+                    continue;
+                }
                 let start = values.len();
                 values.extend(a.iter().zip(b).map(|(&a, &b)| lerp(a, b, t)));
                 settle(&mut values[start..], layer, [a, b], t);
@@ -44,16 +49,24 @@ impl EditMesh {
     pub(super) fn fit_wedges(&self, plan: &Collapse, pairs: &[Pair]) -> Vec<f32> {
         let mut values = Vec::new();
         let t = edge_parameter(plan.keep_from, plan.drop_from, plan.to);
+        let opinions_of =
+            |k: usize| self.opinions(plan, pairs[k], WedgeId(plan.first_new_wedge.0 + k as u32));
+        let opinions: SmallVec<[Opinions; 2]> = (0..pairs.len()).map(opinions_of).collect();
         for (k, pair) in pairs.iter().enumerate() {
-            let opinions = self.opinions(plan, *pair, WedgeId(plan.first_new_wedge.0 + k as u32));
-            if opinions.is_empty() {
-                values.extend(self.blend_wedges(std::slice::from_ref(pair), t));
-                continue;
-            }
             for layer in &self.mesh.layers {
+                let [a, b] = pair.map(|wedge| layer.get(wedge));
                 let start = values.len();
-                values.extend((0..layer.width).map(|at| fitted(&opinions, layer, at)));
-                settle(&mut values[start..], layer, pair.map(|wedge| layer.get(wedge)), t);
+                if layer.semantic == Semantic::Skin {
+                    values.extend(match self.whole_skin(layer, plan) {
+                        Some(ends) => skin::fitted(layer, plan, opinions.iter().flatten(), ends, t),
+                        None => skin::fitted(layer, plan, &opinions[k], [a, b], t),
+                    });
+                } else if opinions[k].is_empty() {
+                    values.extend(a.iter().zip(b).map(|(&a, &b)| lerp(a, b, t)));
+                } else {
+                    values.extend((0..layer.width).map(|at| fitted(&opinions[k], layer, at)));
+                }
+                settle(&mut values[start..], layer, [a, b], t);
             }
         }
         values
@@ -61,7 +74,7 @@ impl EditMesh {
 
     /// What the triangles of a pair say of the place that a collapse leads to; none of a triangle too thin to
     /// say anything.
-    fn opinions(&self, plan: &Collapse, pair: Pair, new: WedgeId) -> SmallVec<[Opinion; 12]> {
+    fn opinions(&self, plan: &Collapse, pair: Pair, new: WedgeId) -> Opinions {
         let ends = [plan.keep, plan.drop];
         let is_of_pair = |r: &&RemovedFace| {
             let of_end = |end| r.wedges[r.vertices.iter().position(|v| *v == end).unwrap_or(0)];
@@ -103,11 +116,13 @@ impl EditMesh {
 }
 
 /// What a triangle says of a place: by which shares of its corners' attributes, and how much that counts.
-struct Opinion {
-    weight: f64,
-    shares: [f64; 3],
-    wedges: [WedgeId; 3],
+pub(super) struct Opinion {
+    pub(super) weight: f64,
+    pub(super) shares: [f64; 3],
+    pub(super) wedges: [WedgeId; 3],
 }
+
+type Opinions = SmallVec<[Opinion; 12]>;
 
 /// Squared double area of a triangle, and the shares of its corners at the projection of `x` on its plane, which add
 /// up to 1; `None` of a sliver.
@@ -146,7 +161,7 @@ fn settle(value: &mut [f32], layer: &AttributeLayer, [a, b]: [&[f32]; 2], t: f64
     match layer.semantic {
         Semantic::Normal => renormalise(value),
         Semantic::Tangent => settle_tangent(value, if t < 0.5 { a } else { b }),
-        Semantic::TexCoord(_) | Semantic::Color(_) | Semantic::Custom(_) => {}
+        Semantic::TexCoord(_) | Semantic::Color(_) | Semantic::Skin | Semantic::Custom(_) => {}
     }
 }
 

@@ -55,8 +55,8 @@ mod tests {
         let corners = vec![DVec3::ZERO, DVec3::X, DVec3::Y];
         let mut original = Mesh::from_parts(corners, vec![[0, 1, 2]; n_parts as usize - 1]);
         original.face_parts = (1..n_parts).collect();
-        let part = |i| Part { node: 0, mesh: format!("m{i}") };
-        original.tree = Tree { nodes: Vec::new(), parts: (0..n_parts).map(part).collect() }.into();
+        let part = |i| Part { node: 0, mesh: format!("m{i}"), ..Part::default() };
+        original.tree = Tree { parts: (0..n_parts).map(part).collect(), ..Tree::default() }.into();
         let level = original.subset(left.iter().map(|f| FaceId(*f)).collect()).mesh;
         let found = Vanished::of(&original, &level).unwrap();
         assert_eq!((found.count, found.note("lod-0").as_deref()), (count, note));
@@ -75,7 +75,7 @@ mod tests {
     #[test]
     fn other_parts_are_not_compared() {
         let original = crate::mesh::shapes::octahedron();
-        let tree = Tree { nodes: Vec::new(), parts: vec![Part::default()] }.into();
+        let tree = Tree { parts: vec![Part::default()], ..Tree::default() }.into();
         assert_eq!(Vanished::of(&original, &Mesh { tree, ..original.clone() }), None);
     }
 }

@@ -43,7 +43,7 @@ fn balls() -> Mesh {
     (mesh.materials, mesh.textures, mesh.images) = (materials, textures, images);
     mesh.materials.push(Material { base_color: [0.8, 0.1, 0.1, 1.0], ..Material::default() });
     mesh.face_materials = mesh.face_parts.iter().map(|part| u32::from(*part == 1)).collect();
-    let node = |name: &str, parent| Node { name: name.to_owned(), parent };
+    let node = |name: &str, parent| Node { name: name.to_owned(), parent, transform: None };
     let nodes = vec![
         node("toy", None),
         node("big", Some(0)),
@@ -51,8 +51,8 @@ fn balls() -> Mesh {
         node("hidden", Some(0)),
         node("lamp", Some(0)),
     ];
-    let part = |node| Part { node, mesh: "ball".to_owned() };
-    mesh.tree = Arc::new(Tree { nodes, parts: [1, 2, 3].map(part).to_vec() });
+    let part = |node| Part { node, mesh: "ball".to_owned(), skin: None };
+    mesh.tree = Arc::new(Tree { nodes, parts: [1, 2, 3].map(part).to_vec(), skins: Vec::new() });
     mesh
 }
 

@@ -20,5 +20,6 @@ mod metrics;
 mod optimizing;
 mod quality;
 mod resuming;
+mod skins;
 mod support;
 mod topology;

@@ -3,7 +3,8 @@
 //! Every node that holds a mesh places it once, with the product of the transforms from the root,
 //! and is a part of its own of the mesh; the tree of nodes is kept by name.
 //! A transform that mirrors turns the triangles round, so that they stay counter-clockwise seen
-//! from outside. Skins, morph targets, animations, cameras and lights are left out with a note.
+//! from outside. Meshes with a skin are in the pose that they were bound in (`skin`). Morph targets,
+//! animations, cameras and lights are left out with a note.
 //! Materials, textures and images keep their order, so that materials can be carried word for
 //! word; of what they say, base colours are evaluated.
 //!
@@ -17,6 +18,7 @@ mod draco;
 mod material;
 mod primitive;
 mod scene;
+mod skin;
 mod texture;
 
 use gltf::json;
@@ -119,12 +121,7 @@ fn check_extensions(source: &Source<'_>, root: &json::Root) -> Result<(), IoErro
 
 fn note_what_is_left_out(root: &json::Root, soup: &mut Soup) {
     let rows = [
-        (
-            root.animations.len(),
-            "animations_ignored",
-            "animations are ignored: the rest pose is read",
-        ),
-        (root.skins.len(), "skins_ignored", "skins are ignored: the bind pose is read"),
+        (root.animations.len(), "animations_ignored", "animations are ignored"),
         (root.cameras.len(), "cameras_ignored", "cameras are ignored"),
     ];
     for (n, code, text) in rows {

@@ -13,6 +13,7 @@ use super::{
     draco::Packed,
     material::default_material,
     scene::Placement,
+    skin,
 };
 use crate::mesh::Semantic;
 
@@ -67,6 +68,8 @@ fn read_primitive(
     soup.claim(document.source, &place, values.n_points, (split.count)(n_corners))?;
     let corners = values.corners(&place)?;
     let positions = values.positions(&place)?;
+    let mut attributes = read_attributes(&values, soup, &place)?;
+    attributes.extend(skin::read_joints(&values, &placement.joints, soup, &place)?);
     let mut patch = Patch {
         positions: positions
             .as_chunks::<3>()
@@ -75,7 +78,7 @@ fn read_primitive(
             .map(|p| place_point(placement, *p))
             .collect(),
         triangles: (split.triangles)(&corners),
-        attributes: read_attributes(&values, soup, &place)?,
+        attributes,
         marks: read_marks(&values, &place)?,
         materials: PatchMaterials::All(match primitive.material {
             Some(material) => check_material(document, material.value(), &place)?,
@@ -89,11 +92,11 @@ fn read_primitive(
 }
 
 /// The values of a primitive, in accessors or packed.
-struct Values<'d> {
-    document: &'d Document<'d>,
-    primitive: &'d Primitive,
+pub(super) struct Values<'d> {
+    pub(super) document: &'d Document<'d>,
+    pub(super) primitive: &'d Primitive,
     packed: Option<Packed<'d>>,
-    n_points: u64,
+    pub(super) n_points: u64,
 }
 
 impl Values<'_> {
@@ -137,7 +140,7 @@ impl Values<'_> {
 
     /// An attribute's values for all points, and how many a point has; `None` when there is no such attribute.
     /// Integers are normalized if the file or the caller says so.
-    fn column(
+    pub(super) fn column(
         &self,
         name: &JsonSemantic,
         (types, normalize): (&[Type], bool),
@@ -252,7 +255,8 @@ fn read_marks(values: &Values<'_>, place: &str) -> Result<PointMarks, IoError> {
 /// What is read, with the types it may have; notes what is not.
 fn meaning_of(name: &JsonSemantic, soup: &mut Soup) -> Option<(Semantic, &'static [Type])> {
     match name {
-        JsonSemantic::Positions => None,
+        // `skin` reads the latter two.
+        JsonSemantic::Positions | JsonSemantic::Joints(_) | JsonSemantic::Weights(_) => None,
         JsonSemantic::Extras(name) if MARKS.contains(&name.as_str()) => None,
         JsonSemantic::Normals => Some((Semantic::Normal, &[Type::Vec3])),
         JsonSemantic::Tangents => Some((Semantic::Tangent, &[Type::Vec4])),
@@ -261,10 +265,6 @@ fn meaning_of(name: &JsonSemantic, soup: &mut Soup) -> Option<(Semantic, &'stati
         }
         JsonSemantic::Colors(n) if *n < MAX_SETS => {
             Some((Semantic::Color(*n), &[Type::Vec3, Type::Vec4]))
-        }
-        JsonSemantic::Joints(_) | JsonSemantic::Weights(_) => {
-            soup.notes.add("skins_ignored", "skins are ignored: the bind pose is read");
-            None
         }
         other => {
             let shown: String = format!("{other:?}").chars().take(64).collect();

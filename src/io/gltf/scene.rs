@@ -3,7 +3,7 @@
 use glam::{DMat4, DQuat, DVec3, Quat, Vec3};
 use gltf::json::{Index, Node};
 
-use super::{Document, IoError, REMEDY, Soup};
+use super::{Document, IoError, REMEDY, Soup, skin};
 use crate::mesh;
 
 /// A mesh as a node places it.
@@ -13,6 +13,19 @@ pub(super) struct Placement {
     pub(super) world_from_mesh: DMat4,
     /// Index into the parts of the soup's tree.
     pub(super) part: u32,
+    /// The numbers of its skin's joints; none without a skin.
+    pub(super) joints: std::ops::Range<u32>,
+}
+
+/// Where nodes of the file are, by their index there.
+pub(super) type Visited = Vec<Option<Place>>;
+
+/// A node that the scene has.
+#[derive(Clone, Copy)]
+pub(super) struct Place {
+    /// Index into the nodes of the soup's tree.
+    pub(super) own: u32,
+    pub(super) world_from_node: DMat4,
 }
 
 /// Characters of a name that are kept: names may stand in a file often.
@@ -28,7 +41,7 @@ pub(super) fn placements(
     soup: &mut Soup,
 ) -> Result<Vec<Placement>, IoError> {
     let nodes = &document.root.nodes;
-    let mut is_seen = vec![false; nodes.len()];
+    let mut visited: Visited = vec![None; nodes.len()];
     let mut placements = Vec::new();
     let roots = roots(document)?.into_iter().rev();
     let mut stack: Vec<Visit> = roots.map(|root| (root, DMat4::IDENTITY, None)).collect();
@@ -38,27 +51,30 @@ pub(super) fn placements(
             let n = nodes.len() as u64;
             return Err(document.source.out_of_range("scene", "nodes", index as i64, n));
         };
-        if std::mem::replace(&mut is_seen[index], true) {
+        if visited[index].is_some() {
             let problem = "it is reached twice: it has two parents or contains itself";
             return Err(document.source.malformed(place(), problem, REMEDY));
         }
         let world_from_node = world_from_parent * parent_from_node(node);
         let own = soup.tree.nodes.len() as u32;
-        soup.tree.nodes.push(mesh::Node { name: kept_name(node.name.as_deref()), parent });
+        visited[index] = Some(Place { own, world_from_node });
+        let name = kept_name(node.name.as_deref());
+        soup.tree.nodes.push(mesh::Node { name, parent, transform: None });
         if let Some(mesh) = node.mesh {
             let (mesh, world_from_mesh) = (mesh.value(), world_from_node);
             let part = soup.tree.parts.len() as u32;
-            placements.push(Placement { node: index, mesh, world_from_mesh, part });
+            placements.push(Placement { node: index, mesh, world_from_mesh, part, joints: 0..0 });
             let name = document.root.meshes.get(mesh).and_then(|m| m.name.as_deref());
-            soup.tree.parts.push(mesh::Part { node: own, mesh: kept_name(name) });
+            soup.tree.parts.push(mesh::Part { node: own, mesh: kept_name(name), skin: None });
         }
         let children = node.children.iter().flatten().rev();
         stack.extend(children.map(|child| (child.value(), world_from_node, Some(own))));
     }
+    skin::bind(document, soup, &visited, &mut placements)?;
     Ok(placements)
 }
 
-fn kept_name(name: Option<&str>) -> String {
+pub(super) fn kept_name(name: Option<&str>) -> String {
     name.into_iter().flat_map(str::chars).take(MAX_NAME_CHARS).collect()
 }
 

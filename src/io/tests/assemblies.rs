@@ -30,7 +30,7 @@ pub(super) fn ship() -> Vec<u8> {
 }
 
 fn node(name: &str, parent: Option<u32>) -> Node {
-    Node { name: name.to_owned(), parent }
+    Node { name: name.to_owned(), parent, transform: None }
 }
 
 #[test]
@@ -47,7 +47,7 @@ fn nodes_are_kept_by_name() {
         node("lamp", Some(1)),
     ];
     assert_eq!(mesh.tree.nodes, nodes);
-    let part = |node| Part { node, mesh: "square".to_owned() };
+    let part = |node| Part { node, mesh: "square".to_owned(), skin: None };
     assert_eq!(mesh.tree.parts, [0, 3, 4, 5].map(part));
     assert_eq!(mesh.face_parts, [0, 0, 1, 1, 2, 2, 3, 3]);
     let names = [0, 1, 2, 3, 4].map(|part| mesh.tree.part_name(part));

@@ -12,6 +12,7 @@ mod packed;
 mod pictures;
 mod quantized;
 mod round_trip;
+mod skins;
 mod textures;
 
 use std::io::Cursor;

@@ -33,7 +33,7 @@ fn step_of(semantic: Semantic) -> f32 {
         // Rounding and bringing back to length 1.
         Semantic::Normal | Semantic::Tangent => 1.0 / 127.0,
         Semantic::Color(_) | Semantic::TexCoord(_) => 0.5001 / 65_535.0,
-        Semantic::Custom(_) => 0.0,
+        Semantic::Skin | Semantic::Custom(_) => 0.0,
     }
 }
 

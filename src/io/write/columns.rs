@@ -1,6 +1,6 @@
 //! How values of vertices become bytes: as singles, or as integers (KHR_mesh_quantization).
 
-use glam::DVec3;
+use glam::{DMat4, DVec3};
 use serde_json::{Value, json};
 
 use crate::mesh::{Mesh, Semantic};
@@ -23,6 +23,11 @@ pub(super) static STEPS: Number =
 /// 0 to 1 in 16 bits.
 static SHARE: Number =
     Number { component: 5_123, normalized: true, put: |v, out| put_u16(v * 65_535.0, out) };
+/// Joints of small skins, and of others.
+static SMALL: Number =
+    Number { component: 5_121, normalized: false, put: |v, out| out.push(v as u8) };
+static LARGE: Number =
+    Number { component: 5_123, normalized: false, put: |v, out| put_u16(v, out) };
 /// −1 to 1 in 8 bits.
 static DIRECTION: Number = Number {
     component: 5_120,
@@ -34,6 +39,16 @@ fn put_u16(v: f32, out: &mut Vec<u8>) {
     out.extend_from_slice(&(v.round() as u16).to_le_bytes());
 }
 
+/// What holds joints below `n`.
+pub(super) fn joints(n: usize) -> &'static Number {
+    if n <= 256 { &SMALL } else { &LARGE }
+}
+
+/// What holds the shares of joints.
+pub(super) fn shares(is_quantized: bool) -> &'static Number {
+    if is_quantized { &SHARE } else { &FLOAT }
+}
+
 /// What holds quantized values of a layer. Texture coordinates beyond 0..=1 stay singles, and so do
 /// values of unknown meaning.
 pub(super) fn quantized(semantic: Semantic, values: &[f32]) -> &'static Number {
@@ -41,7 +56,7 @@ pub(super) fn quantized(semantic: Semantic, values: &[f32]) -> &'static Number {
         Semantic::Normal | Semantic::Tangent => &DIRECTION,
         Semantic::Color(_) => &SHARE,
         Semantic::TexCoord(_) if values.iter().all(|v| (0.0..=1.0).contains(v)) => &SHARE,
-        Semantic::TexCoord(_) | Semantic::Custom(_) => &FLOAT,
+        Semantic::TexCoord(_) | Semantic::Skin | Semantic::Custom(_) => &FLOAT,
     }
 }
 
@@ -80,6 +95,15 @@ impl Grid {
         let low = DVec3::from_array(self.low.map(f64::from));
         let steps = ((p - low) / f64::from(self.step)).round();
         steps.clamp(DVec3::ZERO, DVec3::splat(65_535.0)).as_vec3().to_array()
+    }
+
+    /// A matrix that begins in the model's space, column by column, after the steps were brought there.
+    pub(super) fn put_before(&self, matrix: &[f32; 16]) -> [f32; 16] {
+        let low = DVec3::from_array(self.low.map(f64::from));
+        let world_from_grid =
+            DMat4::from_translation(low) * DMat4::from_scale(DVec3::splat(f64::from(self.step)));
+        let matrix = DMat4::from_cols_array(&matrix.map(f64::from));
+        (matrix * world_from_grid).to_cols_array().map(|x| x as f32)
     }
 
     /// Brings steps back into the model's space.

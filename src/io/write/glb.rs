@@ -5,7 +5,7 @@
 //! accessor has a buffer view of its own, in the order indices, positions, attributes (`store`);
 //! images follow (`appearance`). What glTF demands is put right on the way: normals and tangents are
 //! brought to length 1, colours into 0..=1, texture-coordinate and colour sets are numbered without
-//! gaps. Custom layers of up to four values are written as `_CUSTOM_n`.
+//! gaps. Custom layers of up to four values are written as `_CUSTOM_n`. Skins come first (`skins`).
 
 use glam::{DVec3, Vec3};
 use serde_json::{Value, json};
@@ -17,6 +17,7 @@ use super::{
     columns::Grid,
     nodes::put_nodes,
     points::Points,
+    skins::{SkinOfPart, Skins, put_skins},
     store::{MESHOPT, Store},
 };
 use crate::{
@@ -106,6 +107,7 @@ struct Builder {
     meshes: Vec<Value>,
     nodes: Vec<Value>,
     grid: Option<Grid>,
+    skins: Skins,
     /// Names of extensions, and whether a reader must know them.
     extensions: Vec<(&'static str, bool)>,
 }
@@ -115,13 +117,19 @@ impl Builder {
         let store = Store::new(options);
         let GlbOptions { quantize, compress } = store.options;
         let used = [(QUANTIZATION, quantize), (MESHOPT, compress)];
-        Self {
+        let mut file = Self {
             grid: quantize.then(|| Grid::of(meshes)),
             store,
             meshes: Vec::new(),
             nodes: Vec::new(),
+            skins: Skins::default(),
             extensions: used.into_iter().filter(|(_, is_used)| *is_used).collect(),
+        };
+        if let Some(finest) = meshes.first() {
+            let Self { nodes, store, grid, .. } = &mut file;
+            file.skins = put_skins(nodes, store, &finest.tree, grid.as_ref());
         }
+        file
     }
 
     /// Adds meshes and nodes of a level; returns the nodes at its top.
@@ -133,14 +141,16 @@ impl Builder {
         for of_part in faces.chunk_by(|a, b| key(*a).0 == key(*b).0) {
             let part = key(of_part[0]).0 as usize;
             let by_material = of_part.chunk_by(|a, b| key(*a) == key(*b));
-            let primitives: Result<Vec<Value>, _> =
-                by_material.map(|faces| self.primitive(mesh, key(faces[0]).1, faces)).collect();
+            let skin = self.skins.of_part(&mesh.tree, part);
+            let primitives: Result<Vec<Value>, _> = by_material
+                .map(|faces| self.primitive(mesh, key(faces[0]).1, faces, skin.as_ref()))
+                .collect();
             let mut value = json!({ "primitives": primitives? });
             if let Some(part) = mesh.tree.parts.get(part).filter(|part| !part.mesh.is_empty()) {
                 value["name"] = part.mesh.clone().into();
             }
             mesh_of_part.resize(part, None);
-            mesh_of_part.push(Some(self.meshes.len()));
+            mesh_of_part.push(Some((self.meshes.len(), skin.map(|skin| skin.index))));
             self.meshes.push(value);
         }
         Ok(put_nodes(&mut self.nodes, &mesh.tree, &mesh_of_part))
@@ -151,7 +161,13 @@ impl Builder {
         self.grid.iter().for_each(|grid| grid.put_transform(&mut self.nodes[node]));
     }
 
-    fn primitive(&mut self, mesh: &Mesh, material: u32, faces: &[u32]) -> Result<Value, IoError> {
+    fn primitive(
+        &mut self,
+        mesh: &Mesh,
+        material: u32,
+        faces: &[u32],
+        skin: Option<&SkinOfPart>,
+    ) -> Result<Value, IoError> {
         let mut points = Points::of(mesh, faces);
         if self.store.options.compress {
             points.reorder();
@@ -164,6 +180,7 @@ impl Builder {
         // glTF has no type for other widths.
         for layer in sorted_layers(mesh).into_iter().filter(|l| (1..=4).contains(&l.width)) {
             let name = match layer.semantic {
+                Semantic::Skin => continue,
                 Semantic::Normal => "NORMAL".to_owned(),
                 Semantic::Tangent => "TANGENT".to_owned(),
                 Semantic::TexCoord(_) => numbered("TEXCOORD", &mut sets[0]),
@@ -173,6 +190,9 @@ impl Builder {
             let values = file_values(layer, mesh, &points);
             let accessor = self.store.attribute(layer.semantic, &values, layer.width)?;
             attributes.insert(name, accessor.into());
+        }
+        if let (Some(skin), Some(layer)) = (skin, mesh.layer(Semantic::Skin)) {
+            attributes.extend(skin.put_attributes(&mut self.store, points.values(layer))?);
         }
         let mut primitive = json!({ "attributes": attributes, "indices": indices, "mode": 4 });
         if !mesh.materials.is_empty() {
@@ -187,6 +207,7 @@ impl Builder {
         for (name, is_required) in &self.extensions {
             appearance.use_extension(name, *is_required);
         }
+        let scene = [scene, &self.skins.roots].concat();
         let generator = concat!("Lookalike ", env!("CARGO_PKG_VERSION"));
         let mut document = json!({
             "asset": { "version": "2.0", "generator": generator },
@@ -198,6 +219,9 @@ impl Builder {
             "bufferViews": self.store.views,
             "buffers": self.store.buffers(),
         });
+        if !self.skins.values.is_empty() {
+            document["skins"] = self.skins.values.into();
+        }
         appearance.put_into(&mut document);
         pack(document.to_string().into_bytes(), &self.store.bin)
     }

@@ -11,6 +11,7 @@ mod nodes;
 mod obj;
 mod ply;
 mod points;
+mod skins;
 mod store;
 
 pub use glb::{GlbLevel, GlbOptions, write_glb, write_glb_with, write_lods};

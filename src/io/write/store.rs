@@ -100,6 +100,24 @@ impl Store {
         Ok(self.push_accessor(accessor))
     }
 
+    /// Values of four for each point, in numbers of a kind.
+    pub(super) fn fours(&mut self, values: &[f32], number: &Number) -> Result<usize, IoError> {
+        let accessor = self.accessor(values, 4, number)?;
+        Ok(self.push_accessor(accessor))
+    }
+
+    /// Matrices, column by column.
+    pub(super) fn matrices(&mut self, matrices: &[[f32; 16]]) -> usize {
+        let bytes: Vec<u8> = matrices.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect();
+        let accessor = json!({
+            "bufferView": self.view(&bytes),
+            "componentType": FLOAT.component,
+            "count": matrices.len(),
+            "type": "MAT4",
+        });
+        self.push_accessor(accessor)
+    }
+
     fn accessor(
         &mut self,
         values: &[f32],

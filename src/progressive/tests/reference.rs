@@ -250,11 +250,11 @@ pub(super) fn grid(n: usize, extras: Extras, rng: &mut Rng) -> Mesh {
 /// Parts in runs and alone, below a node that places none; one part has no triangle.
 fn add_parts(mesh: &mut Mesh) {
     mesh.face_parts = mesh.faces.iter().map(|f| [0, 2, 3, 2][f[0] as usize / 3 % 4]).collect();
-    let node = |name: &str, parent| Node { name: name.to_owned(), parent };
+    let node = |name: &str, parent| Node { name: name.to_owned(), parent, transform: None };
     let nodes = [node("root", None), node("", Some(0)), node("a \"b\" ü", Some(0)), node("", None)];
-    let part = |node| Part { node, mesh: format!("mesh {node}") };
+    let part = |node| Part { node, mesh: format!("mesh {node}"), skin: None };
     let parts = vec![part(1), part(2), part(3), part(0)];
-    mesh.tree = Tree { nodes: nodes.to_vec(), parts }.into();
+    mesh.tree = Tree { nodes: nodes.to_vec(), parts, skins: Vec::new() }.into();
 }
 
 /// Of four images the second has no bytes, the last shares those of the first.
