@@ -22,9 +22,18 @@ class Level:
     asked: int
     triangles: int
     stopped_by: str
-    #: d2 on unseen views, percent of full scale: ours, and of memoryless at as many triangles.
+    #: d2 on unseen views, percent of full scale: ours, likewise before it was optimized (if it was), and of memoryless
+    #: at as many triangles.
     d2: float
+    simplified: float | None
     memoryless: float
+
+    def told(self) -> str:
+        """In a cell of the table."""
+        shares = [d2 / self.memoryless for d2 in (self.simplified, self.d2) if d2 is not None]
+        end = "" if self.stopped_by in REACHED else f" {self.stopped_by}"
+        told = ", ".join(f"{share:.2f}" for share in shares)
+        return f"{self.triangles:,}: {self.d2:.2f} ({told}){end}"
 
 
 @dataclass
@@ -95,10 +104,10 @@ def measure(binary: Path, model: Path, folder: Path, device: str) -> Model:
     for i, (share, level) in enumerate(zip(SHARES, report["levels"])):
         # Levels finer than pictures show are not optimized, and nobody has looked at them yet.
         optimized = level.get("optimization")
-        unseen = (
-            optimized["d2_unseen_percent"][1]
+        simplified, unseen = (
+            optimized["d2_unseen_percent"]
             if optimized
-            else unseen_d2(binary, model, ours / f"lod-{i}.glb", report)
+            else (None, unseen_d2(binary, model, ours / f"lod-{i}.glb", report))
         )
         levels.append(
             Level(
@@ -106,6 +115,7 @@ def measure(binary: Path, model: Path, folder: Path, device: str) -> Model:
                 triangles=level["triangles"],
                 stopped_by=level["stopped_by"],
                 d2=unseen,
+                simplified=simplified,
                 memoryless=unseen_d2(binary, model, plain / f"lod-{i}.glb", report),
             )
         )
@@ -120,11 +130,7 @@ def table(models: list[Model]) -> str:
         "|---|---:|" + "---:|" * len(SHARES) + "---:|---:|",
     ]
     for m in models:
-        cells = " | ".join(
-            f"{level.triangles:,}: {level.d2:.2f} ({level.d2 / level.memoryless:.2f})"
-            + ("" if level.stopped_by in REACHED else f" {level.stopped_by}")
-            for level in m.levels
-        )
+        cells = " | ".join(level.told() for level in m.levels)
         lines.append(
             f"| {m.name} | {m.triangles:,} | {cells} | {m.seconds:.0f} | {m.mebibytes:,.0f} |"
         )
@@ -138,8 +144,9 @@ def section(models: list[Model]) -> list[str]:
         "## Every model, four levels in one run",
         "",
         "`lookalike run MODEL --ratio .25,.1,.03,.01 --effort fast`, with the optimization that comes "
-        "with it. Each level: triangles, d2 on unseen views in percent of full scale, in brackets as a "
-        "share of memoryless simplification to as many triangles, and what ended it where that was not "
+        "with it. Each level: triangles, d2 on unseen views in percent of full scale, in brackets what "
+        "that is of memoryless simplification to as many triangles, before optimization and after it "
+        "(one share where there was none), and what ended it where that was not "
         "the number of triangles. Processor seconds (all threads together) and memory are those of the "
         "whole process: reading, all four levels, files and pictures.",
         "",

@@ -24,6 +24,7 @@ from pathlib import Path
 import assets
 import cores
 import dress
+import inside
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -226,6 +227,7 @@ def page(
     rows: list[Row],
     models: list[assets.Model],
     dressed: list[dress.Dressed],
+    seen: list[inside.Level],
     absent: list[str],
     jobs: int,
 ) -> str:
@@ -259,6 +261,8 @@ def page(
         parts += assets.section(models)
     if dressed:
         parts += dress.section(dressed)
+    if seen:
+        parts += inside.section(seen)
     return "\n".join(parts) + "\n"
 
 
@@ -306,6 +310,11 @@ def main() -> None:
                 pool.submit(assets.measure, args.binary, path, Path(folder), args.device)
                 for path in paths
             ]
+            looking = [
+                pool.submit(inside.measure, args.binary, path, Path(folder), args.device)
+                for path in paths
+                if path.stem == inside.MODEL
+            ]
             turning = [
                 pool.submit(dress.measure, args.binary, path, Path(folder), args.device)
                 for path in paths
@@ -314,7 +323,8 @@ def main() -> None:
             rows = [running[n].result() for n, _ in there]
             models = sorted((m.result() for m in measuring), key=lambda m: m.name)
             dressed = sorted((t.result() for t in turning), key=lambda d: d.name)
-    args.out.write_text(page(rows, models, dressed, absent, args.jobs) + service_section(args.out))
+            seen = [level for levels in looking for level in levels.result()]
+    args.out.write_text(page(rows, models, dressed, seen, absent, args.jobs) + service_section(args.out))
     print(args.out)
 
 

@@ -47,10 +47,9 @@ impl Chosen {
     pub fn of(spec: &Spec, model: &IngestReport, facts: &Facts<'_>) -> Self {
         let default = Spec::new(Vec::new());
         let (render, usual) = (&spec.render, &default.render);
-        let views = render.view_count();
         Self {
             image_size: image_size(spec, facts),
-            views: plain(views, usual.view_count()),
+            views: views(render.view_count(), usual.view_count()),
             metric: metric(spec, facts),
             effort: plain(spec.effort, default.effort),
             start_factor: start_factor(spec, facts),
@@ -64,6 +63,14 @@ impl Chosen {
 /// Of a setting that a specification always has: whoever asks for the default gets the default.
 fn plain<T: PartialEq>(value: T, default: T) -> Choice<T> {
     let why = if value == default { "default" } else { "asked" };
+    Choice { value, why: why.into() }
+}
+
+fn views(value: usize, default: usize) -> Choice<usize> {
+    let why = match value {
+        n if n == default => "default: fewer look worse, on every kind of model",
+        _ => "asked",
+    };
     Choice { value, why: why.into() }
 }
 
@@ -161,7 +168,8 @@ mod tests {
             let why = found[field]["why"].as_str().unwrap();
             assert!(why.contains("a model of several parts or with textures"), "{why}");
         }
-        assert_eq!(found["views"], json!({ "value": 20, "why": "default" }));
+        let why = "default: fewer look worse, on every kind of model";
+        assert_eq!(found["views"], json!({ "value": 20, "why": why }));
         let why = "the model has 3 parts and 0 edges of more than two triangles";
         assert_eq!(found["topology"], json!({ "value": "free", "why": why }));
         let why = "default: 200 for each of 500 triangles at effort balanced";
