@@ -153,6 +153,7 @@ impl Builder {
 
     fn primitive(&mut self, mesh: &Mesh, material: u32, faces: &[u32]) -> Result<Value, IoError> {
         let mut points = Points::of(mesh, faces);
+        points.part();
         if self.store.options.compress {
             points.reorder();
         }
