@@ -10,7 +10,7 @@ use meshopt::{
 };
 use serde_json::{Value, json};
 
-use crate::octahedron;
+use crate::{document::pack, octahedron};
 
 /// By the formats' own encoders: `src/io/tests/fixtures/README.md` of the main package.
 const DRACO: [&[u8]; 2] = [
@@ -47,14 +47,26 @@ fn written() -> impl Iterator<Item = Vec<u8>> {
 
 /// Images of each format that the core of glTF or an extension knows.
 fn images() -> impl Iterator<Item = Vec<u8>> {
-    let picture = RgbImage::from_fn(9, 5, |x, y| Rgb([20 * x as u8, 50 * y as u8, 128]));
     [(ImageFormat::Png, ""), (ImageFormat::Jpeg, ""), (ImageFormat::WebP, "EXT_texture_webp")]
+        .map(|(format, extension)| textured(extension, &picture(format)))
         .into_iter()
-        .filter_map(move |(format, extension)| {
-            let mut bytes = Cursor::new(Vec::new());
-            picture.write_to(&mut bytes, format).ok()?;
-            Some(textured(extension, &bytes.into_inner()))
-        })
+}
+
+pub fn png() -> Vec<u8> {
+    picture(ImageFormat::Png)
+}
+
+fn picture(format: ImageFormat) -> Vec<u8> {
+    let mut bytes = Cursor::new(Vec::new());
+    let picture = RgbImage::from_fn(9, 5, |x, y| Rgb([20 * x as u8, 50 * y as u8, 128]));
+    picture.write_to(&mut bytes, format).map(|()| bytes.into_inner()).unwrap_or_default()
+}
+
+/// Text of a glTF and the buffer that it names.
+pub fn apart() -> (Vec<u8>, Vec<u8>) {
+    let File { mut json, bin } = File::square();
+    json["buffers"][0] = json!({ "byteLength": bin.len(), "uri": "a.bin" });
+    (json.to_string().into_bytes(), bin)
 }
 
 /// A square that shows an image, by an extension or, unnamed, without one.
@@ -125,7 +137,13 @@ fn filtered() -> Vec<u8> {
 /// Nodes below nodes, a matrix, colours, other positions in a few places (a sparse accessor).
 fn assembly() -> Vec<u8> {
     let mut file = File::square();
-    file.attribute("COLOR_0", 5121, "VEC3", &[255, 0, 0, 0, 0, 255, 0, 0, 0, 0, 255, 0], 4);
+    file.attribute(
+        "COLOR_0",
+        5121,
+        "VEC3",
+        &[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15],
+        4,
+    );
     let (which, values) = (file.view(&[3, 0, 0, 0]), file.view(&floats(&[1., 1., 0.5])));
     file.json["accessors"][0]["sparse"] = json!({ "count": 1,
         "indices": { "bufferView": which, "componentType": 5121 },
@@ -197,14 +215,7 @@ impl File {
 
     fn finish(mut self) -> Vec<u8> {
         self.json["buffers"][0]["byteLength"] = self.bin.len().into();
-        let mut text = self.json.to_string().into_bytes();
-        text.resize(text.len().next_multiple_of(4), b' ');
-        let word = |n: usize| (n as u32).to_le_bytes();
-        let length = 28 + text.len() + self.bin.len();
-        let mut out = [&b"glTF\x02\0\0\0"[..], &word(length), &word(text.len()), b"JSON"].concat();
-        out.extend(text);
-        out.extend([&word(self.bin.len())[..], b"BIN\0", &self.bin].concat());
-        out
+        pack(&self.json, &self.bin)
     }
 }
 
