@@ -150,7 +150,8 @@ def section(rows: list[Row]) -> str:
         f"Written by `make viewers`: `lookalike run MODEL {FLAGS}`, and of each run {', '.join(FILES)}, which holds both "
         f"levels. Khronos validator {pinned['gltf-validator']}: errors and warnings of the three files together. "
         f"three.js {pinned['three']} and Blender ({blender}) read each file; *same*: they find as many triangles as "
-        "`report.json` says, and the materials, textures and images that the file names (of lod-0 in the third column).",
+        "`report.json` says, and the materials, textures and images that the file names (of lod-0 in the third column). "
+        "Images and materials are the source's own, and so are the warnings about them.",
         "",
         "| model | triangles | materials, textures, images | validator: errors / warnings | three.js | Blender |",
         "|---|---:|---:|---|---|---|",
