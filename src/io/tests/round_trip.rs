@@ -78,7 +78,7 @@ fn glb_keeps_everything() {
     assert_eq!(write_glb(&again).unwrap(), bytes, "the same mesh gives the same bytes");
 }
 
-/// No two triangles of a file have the same three points, or Blender drops one of them.
+/// No two triangles of a file have the same three points, or Blender would drop one of them.
 #[test]
 fn the_sides_of_a_sheet_are_told_apart() {
     let mut mesh = rich_square();
@@ -87,17 +87,13 @@ fn the_sides_of_a_sheet_are_told_apart() {
     mesh.face_materials = vec![0; 4];
     for (quantize, compress) in [(false, false), (true, false), (true, true)] {
         let bytes = write_glb_with(&mesh, GlbOptions { quantize, compress }).unwrap();
-        let again = load("x.glb", &bytes).unwrap().mesh;
-        assert_eq!((again.faces.len(), again.positions.len()), (4, 4));
-        // A wedge is a point of the file.
-        let mut points = again.face_wedges.clone();
-        points.iter_mut().for_each(|face| face.sort_unstable());
-        points.sort_unstable();
-        points.dedup();
-        assert_eq!((points.len(), again.n_wedges()), (4, 8));
+        let Ingest { mesh: again, report, .. } = load("x.glb", &bytes).unwrap();
+        // Two of the three triangles have one more; all are joined again.
+        assert_eq!((report.triangles_in_file, report.vertices_in_file), (4, 6 + 2));
+        assert_eq!((again.faces.len(), again.n_wedges()), (4, 6));
         if !quantize {
             assert_eq!(content(&again), content(&mesh));
-            assert_eq!(write_glb(&again).unwrap(), bytes, "nothing is left to tell apart");
+            assert_eq!(write_glb(&again).unwrap(), bytes, "the same mesh gives the same bytes");
         }
     }
 }
