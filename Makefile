@@ -1,7 +1,7 @@
 # Lookalike: two commands do everything on a fresh Debian 12 with a Rust toolchain.
 #   make demo [MODEL=path]   build, start a server, simplify a model, leave the results in out/demo
 #   make test                everything that CI checks
-.PHONY: demo test setup build lint deny unit python loadtest farm torture bench results advisories
+.PHONY: demo test setup build lint deny unit python loadtest farm torture bench results viewers advisories
 
 CARGO ?= cargo
 VENV := .venv
@@ -74,6 +74,14 @@ bench:
 # docs/results.md and its pictures, anew (QUICK=1 leaves the long runs out; JOBS=8 runs beside one another, two cores each).
 results: build
 	python3 benches/results.py $(if $(QUICK),--quick) $(if $(JOBS),--jobs $(JOBS))
+
+# What the Khronos validator, three.js and Blender say of the files: into docs/results.md. Needs node, Python 3.11 (for
+# Blender's package) and, the first time, the network; so it is not part of `make test`.
+viewers: build
+	cd benches/viewers && npm ci --silent
+	python3.11 -m venv benches/viewers/.venv
+	benches/viewers/.venv/bin/pip install -q -r benches/viewers/requirements.txt
+	benches/viewers/.venv/bin/python benches/viewers/viewers.py
 
 # Known vulnerabilities and yanked versions: asks the network, and so is not part of `make test`.
 advisories:

@@ -266,14 +266,16 @@ def page(
     return "\n".join(parts) + "\n"
 
 
-def service_section(path: Path) -> str:
-    """What `make loadtest` has written into the page, which is kept."""
+#: What `make loadtest` and `make viewers` write.
+OTHERS = ("## The service", "## What other programs say of the files")
+
+
+def other_sections(path: Path) -> str:
+    """What others have written into the page, which is kept."""
     text = path.read_text() if path.exists() else ""
-    at = text.find("## The service\n")
-    if at < 0:
-        return ""
-    end = text.find("\n## ", at)
-    return "\n" + text[at : end if end >= 0 else len(text)].rstrip() + "\n"
+    _, *sections = f"\n{text}".split("\n## ")
+    kept = (f"## {section}" for section in sections)
+    return "".join(f"\n{s.rstrip()}\n" for s in kept if s.splitlines()[0] in OTHERS)
 
 
 def main() -> None:
@@ -323,8 +325,7 @@ def main() -> None:
             rows = [running[n].result() for n, _ in there]
             models = sorted((m.result() for m in measuring), key=lambda m: m.name)
             dressed = sorted((t.result() for t in turning), key=lambda d: d.name)
-            seen = [level for levels in looking for level in levels.result()]
-    args.out.write_text(page(rows, models, dressed, seen, absent, args.jobs) + service_section(args.out))
+    args.out.write_text(page(rows, models, dressed, seen, absent, args.jobs) + other_sections(args.out))
     print(args.out)
 
 

@@ -2,6 +2,10 @@
 //!
 //! A body must not panic, hang or ask for much memory, whatever the bytes.
 
+mod archive;
+mod document;
+mod glb;
+
 use lookalike::{
     io::{self, Limits, PlyPositions},
     mesh::{
@@ -22,19 +26,36 @@ pub struct Target {
     pub body: fn(&[u8]),
     /// Valid inputs to start from.
     pub seeds: fn() -> Vec<Vec<u8>>,
+    /// Damages one of them.
+    change: fn(&mut Vec<u8>, &mut Random),
 }
 
 /// All targets.
 pub const TARGETS: [Target; 9] = [
-    Target { name: "read_glb", body: read_glb, seeds: glb_seeds },
-    Target { name: "read_gltf", body: read_gltf, seeds: gltf_seeds },
-    Target { name: "read_ply", body: read_ply, seeds: ply_seeds },
-    Target { name: "read_obj", body: read_obj, seeds: obj_seeds },
-    Target { name: "read_stl", body: read_stl, seeds: stl_seeds },
-    Target { name: "read_zip", body: read_zip, seeds: zip_seeds },
-    Target { name: "progressive_file", body: progressive_file, seeds: file_seeds },
-    Target { name: "progressive_records", body: progressive_records, seeds: record_seeds },
-    Target { name: "progressive_edits", body: progressive_edits, seeds: edit_seeds },
+    Target { name: "read_glb", body: read_glb, seeds: glb::seeds, change: document::change_glb },
+    Target { name: "read_gltf", body: read_gltf, seeds: gltf_seeds, change: document::change_gltf },
+    Target { name: "read_ply", body: read_ply, seeds: ply_seeds, change: any_bytes },
+    Target { name: "read_obj", body: read_obj, seeds: obj_seeds, change: any_bytes },
+    Target { name: "read_stl", body: read_stl, seeds: stl_seeds, change: any_bytes },
+    Target { name: "read_zip", body: read_zip, seeds: archive::seeds, change: archive::change },
+    Target {
+        name: "progressive_file",
+        body: progressive_file,
+        seeds: file_seeds,
+        change: any_bytes,
+    },
+    Target {
+        name: "progressive_records",
+        body: progressive_records,
+        seeds: record_seeds,
+        change: any_bytes,
+    },
+    Target {
+        name: "progressive_edits",
+        body: progressive_edits,
+        seeds: edit_seeds,
+        change: any_bytes,
+    },
 ];
 
 /// GLB reader.
@@ -222,10 +243,6 @@ fn edit_seeds() -> Vec<Vec<u8>> {
     vec![seed]
 }
 
-fn glb_seeds() -> Vec<Vec<u8>> {
-    io::write_glb(&octahedron()).into_iter().collect()
-}
-
 fn gltf_seeds() -> Vec<Vec<u8>> {
     vec![
         br#"{"asset":{"version":"2.0"},"nodes":[{"mesh":0,"scale":[2,2,2],"children":[1]},{"mesh":0}],
@@ -274,47 +291,6 @@ fn stl_seeds() -> Vec<Vec<u8>> {
     vec![binary, text.to_vec()]
 }
 
-/// An OBJ with its materials, as they are.
-fn zip_seeds() -> Vec<Vec<u8>> {
-    let obj = obj_seeds().pop().unwrap_or_default();
-    let mtl = b"newmtl a\nKd 1 0 0\nmap_Kd a.png\n".to_vec();
-    vec![archive(&[("m/a.obj", &obj), ("a", &mtl), ("a.png", b"\x89PNG\r\n\x1a\n")])]
-}
-
-/// Members that are stored, not compressed.
-fn archive(members: &[(&str, &[u8])]) -> Vec<u8> {
-    let (mut out, mut directory) = (Vec::new(), Vec::new());
-    for (name, bytes) in members {
-        let (at, n) = (out.len() as u32, bytes.len() as u32);
-        // Version, flags, method, time, date; what both headers have.
-        let mut common = [20_u16, 0, 0, 0, 0].map(u16::to_le_bytes).concat();
-        common.extend([crc32(bytes), n, n].map(u32::to_le_bytes).concat());
-        common.extend([name.len() as u16, 0].map(u16::to_le_bytes).concat());
-        out.extend(b"PK\x03\x04");
-        out.extend(&common);
-        out.extend(name.as_bytes());
-        out.extend(*bytes);
-        directory.extend(b"PK\x01\x02\x14\0");
-        directory.extend(common);
-        directory.extend([0; 10]);
-        directory.extend(at.to_le_bytes());
-        directory.extend(name.as_bytes());
-    }
-    let (at, n) = (out.len() as u32, members.len() as u16);
-    out.extend(&directory);
-    out.extend(b"PK\x05\x06\0\0\0\0");
-    out.extend([n, n].map(u16::to_le_bytes).concat());
-    out.extend([directory.len() as u32, at].map(u32::to_le_bytes).concat());
-    out.extend([0, 0]);
-    out
-}
-
-fn crc32(bytes: &[u8]) -> u32 {
-    let step = |crc: u32, bit: u32| (crc >> 1) ^ (0xedb8_8320 & 0_u32.wrapping_sub(bit & 1));
-    let shift = |crc: u32| (0..8).fold(crc, |crc, _| step(crc, crc));
-    !bytes.iter().fold(u32::MAX, |crc, byte| shift(crc ^ u32::from(*byte)))
-}
-
 fn file_seeds() -> Vec<Vec<u8>> {
     let mesh = octahedron();
     let Ok(mut writer) = Writer::new(&mesh) else { return Vec::new() };
@@ -343,15 +319,18 @@ fn record_seeds() -> Vec<Vec<u8>> {
     vec![seed]
 }
 
-/// The `index`-th input of a run: a seed with one to eight edits that `index` and `seed` determine.
+/// The `index`-th input of a run: a seed with changes that `index` and `seed` determine.
 pub fn input(target: &Target, seeds: &[Vec<u8>], seed: u64, index: u64) -> Vec<u8> {
     let name = target.name.bytes().fold(seed, |h, b| h.wrapping_mul(31).wrapping_add(b.into()));
     let mut random = Random(name ^ index.wrapping_mul(0xD134_2543_DE82_EF95));
     let mut bytes = seeds.get(random.below(seeds.len())).cloned().unwrap_or_default();
-    for _ in 0..=random.below(8) {
-        edit(&mut bytes, &mut random);
-    }
+    (target.change)(&mut bytes, &mut random);
     bytes
+}
+
+/// One to eight edits.
+fn any_bytes(bytes: &mut Vec<u8>, random: &mut Random) {
+    (0..=random.below(8)).for_each(|_| edit(bytes, random));
 }
 
 /// Values at which counts and offsets go wrong.
@@ -413,24 +392,30 @@ impl Random {
 
 #[cfg(test)]
 mod tests {
+    use lookalike::mesh::Image;
+
     use super::*;
 
     /// Seeds must be valid, or the loop would only exercise the first check.
     #[test]
     fn seeds_are_valid() {
         let limits = Limits::default();
+        // How many images there are, all of them decoded.
         let is_model = |name: &str, seeds: Vec<Vec<u8>>| {
             assert!(!seeds.is_empty());
-            for seed in seeds {
-                io::read(name, &seed, &limits).unwrap();
-            }
+            let images_of = |seed: Vec<u8>| io::read(name, &seed, &limits).unwrap().mesh.images;
+            let images: Vec<Image> = seeds.into_iter().flat_map(images_of).collect();
+            assert!(images.iter().all(|image| image.pixels.is_some()));
+            images.len()
         };
-        is_model("a.glb", glb_seeds());
+        assert_eq!(glb::seeds().len(), 13);
+        // Two of them beside Draco geometry.
+        assert_eq!(is_model("a.glb", glb::seeds()), 2 + 2 + 3);
         is_model("a.gltf", gltf_seeds());
         is_model("a.ply", ply_seeds());
         is_model("a.obj", obj_seeds());
         is_model("a.stl", stl_seeds());
-        is_model("a.zip", zip_seeds());
+        assert_eq!(is_model("a.zip", archive::seeds()), 1);
         assert_eq!(file_seeds().len(), 3);
         for seed in file_seeds() {
             assert_eq!(Reader::open(&seed).unwrap().extract(8).unwrap(), octahedron());
@@ -447,6 +432,22 @@ mod tests {
         assert!(bytes.is_empty());
         let (collapse, _) = decode_collapse(&record_seeds()[0]).unwrap();
         Replay::from_mesh(&octahedron()).unwrap().apply(&collapse).unwrap();
+    }
+
+    /// Most must not be turned away at the door.
+    #[test]
+    fn mutations_get_far() {
+        let (target, seeds) = (&TARGETS[0], glb::seeds());
+        let mut ends = std::collections::BTreeMap::new();
+        for index in 0..5_000 {
+            let bytes = input(target, &seeds, 1, index);
+            let end = match io::read("a.glb", &bytes, &Limits::default()) {
+                Ok(_) => "read",
+                Err(error) => error.code(),
+            };
+            *ends.entry(end).or_insert(0) += 1;
+        }
+        assert!(ends["read"] > 1_000 && ends.len() > 5, "{ends:?}");
     }
 
     #[test]

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 
 use super::{models::model, *};
 use crate::{
-    io::{PlyPositions, write_glb, write_obj, write_ply},
+    io::{GlbOptions, PlyPositions, write_glb, write_glb_with, write_obj, write_ply},
     mesh::{AttributeLayer, FaceId, Material, Semantic, WedgeId},
 };
 
@@ -76,6 +76,26 @@ fn glb_keeps_everything() {
     let bytes = write_glb(&again).unwrap();
     assert_eq!(load("x.glb", &bytes).unwrap().mesh, again);
     assert_eq!(write_glb(&again).unwrap(), bytes, "the same mesh gives the same bytes");
+}
+
+/// No two triangles of a file have the same three points, or Blender would drop one of them.
+#[test]
+fn the_sides_of_a_sheet_are_told_apart() {
+    let mut mesh = rich_square();
+    mesh.faces = vec![[0, 1, 2], [2, 1, 0], [1, 2, 0], [2, 1, 3]];
+    mesh.face_wedges = vec![[0, 1, 2], [2, 1, 0], [1, 2, 0], [3, 4, 5]];
+    mesh.face_materials = vec![0; 4];
+    for (quantize, compress) in [(false, false), (true, false), (true, true)] {
+        let bytes = write_glb_with(&mesh, GlbOptions { quantize, compress }).unwrap();
+        let Ingest { mesh: again, report, .. } = load("x.glb", &bytes).unwrap();
+        // Two of the three triangles have one more; all are joined again.
+        assert_eq!((report.triangles_in_file, report.vertices_in_file), (4, 6 + 2));
+        assert_eq!((again.faces.len(), again.n_wedges()), (4, 6));
+        if !quantize {
+            assert_eq!(content(&again), content(&mesh));
+            assert_eq!(write_glb(&again).unwrap(), bytes, "the same mesh gives the same bytes");
+        }
+    }
 }
 
 /// What the Khronos validator looks at, as far as it can be seen from outside: the schema, four-byte

@@ -169,6 +169,7 @@ impl Builder {
         skin: Option<&SkinOfPart>,
     ) -> Result<Value, IoError> {
         let mut points = Points::of(mesh, faces);
+        points.part();
         if self.store.options.compress {
             points.reorder();
         }

@@ -1,12 +1,14 @@
 //! The distinct corners of a set of faces, as a file stores them.
 
+use std::collections::HashSet;
+
 use glam::DVec3;
 
 use crate::mesh::{AttributeLayer, Mesh, WedgeId};
 
 /// Vertices of a file and the triangles between them.
 pub(super) struct Points {
-    /// (wedge, vertex), ascending; wedge 0 in a mesh without layers.
+    /// (wedge, vertex), ascending until `part` or `reorder`; wedge 0 in a mesh without layers.
     corners: Vec<(u32, u32)>,
     pub(super) triangles: Vec<[u32; 3]>,
 }
@@ -25,6 +27,20 @@ impl Points {
         let index_of = |c: (u32, u32)| corners.partition_point(|x| *x < c) as u32;
         let triangles = faces.iter().map(|f| corners_of(*f).map(index_of)).collect();
         Self { corners, triangles }
+    }
+
+    /// Gives each triangle that has the three points of an earlier one, as the second side of a sheet
+    /// has, a point of its own: Blender drops triangles that do not differ in one.
+    pub(super) fn part(&mut self) {
+        let mut seen = HashSet::with_capacity(self.triangles.len());
+        for triangle in &mut self.triangles {
+            let mut points = *triangle;
+            points.sort_unstable();
+            if !seen.insert(points) {
+                self.corners.push(self.corners[triangle[2] as usize]);
+                triangle[2] = self.corners.len() as u32 - 1;
+            }
+        }
     }
 
     /// Puts triangles and points in an order that compresses well.
