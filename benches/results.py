@@ -325,6 +325,7 @@ def main() -> None:
             rows = [running[n].result() for n, _ in there]
             models = sorted((m.result() for m in measuring), key=lambda m: m.name)
             dressed = sorted((t.result() for t in turning), key=lambda d: d.name)
+            seen = [level for levels in looking for level in levels.result()]
     args.out.write_text(page(rows, models, dressed, seen, absent, args.jobs) + other_sections(args.out))
     print(args.out)
 
