@@ -28,7 +28,7 @@ pub fn seeds() -> Vec<Vec<u8>> {
         .chain(DRACO.map(<[u8]>::to_vec))
         .chain(KTX2.map(|bytes| textured("KHR_texture_basisu", bytes)))
         .chain(images())
-        .chain([filtered(), assembly()])
+        .chain([filtered(), assembly(), skinned()])
         .collect()
 }
 
@@ -154,6 +154,29 @@ fn assembly() -> Vec<u8> {
         { "name": "mast", "children": [3], "scale": [2, 2, 2] },
         { "mesh": 0, "matrix": [0, 1, 0, 0, 1, 0, 0, 0, 0, 0, 1, 0, 3, 0, 0, 1] },
         { "name": "sail", "mesh": 0, "rotation": [0, 0, 1, 0] },
+    ]);
+    file.finish()
+}
+
+/// Two joints that move a square, and one without a skin that hangs from the second.
+fn skinned() -> Vec<u8> {
+    let mut file = File::square();
+    file.attribute("JOINTS_0", 5121, "VEC4", &[0, 1, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1, 1, 0, 0], 4);
+    file.json["accessors"][2]["normalized"] = false.into();
+    let shares = [0.75, 0.25, 0., 0., 1., 0., 0., 0., 0.5, 0., 0., 0., 0.5, 0.5, 0., 0.];
+    file.attribute("WEIGHTS_0", 5126, "VEC4", &floats(&shares), 16);
+    let matrix = |x| [2., 0., 0., 0., 0., 2., 0., 0., 0., 0., 2., 0., x, 0., 0., 1.];
+    file.attribute("_MATRICES", 5126, "MAT4", &floats(&[matrix(0.0), matrix(-1.0)].concat()), 64);
+    file.primitive()["attributes"].as_object_mut().map(|all| all.remove("_MATRICES"));
+    let held = json!({ "primitives": [{ "attributes": { "POSITION": 0 } }] });
+    file.json["meshes"] = json!([file.json["meshes"][0], held]);
+    file.json["skins"] = json!([{ "joints": [1, 2], "inverseBindMatrices": 4, "skeleton": 1 }]);
+    file.json["nodes"] = json!([
+        { "children": [1, 4], "scale": [0.5, 0.5, 0.5] },
+        { "children": [2] },
+        { "translation": [1, 0, 0], "children": [3] },
+        { "mesh": 1 },
+        { "mesh": 0, "skin": 0 },
     ]);
     file.finish()
 }
