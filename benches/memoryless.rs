@@ -13,7 +13,7 @@
 //!
 //! The generated sample, best of three: 70,000 triangles 447 k/s, 250,000 336 k/s, a million 278 k/s.
 //! The number of steps is linear (6.5 evaluations a collapse, at any size); a step waits longer for
-//! memory where the mesh, about 190 bytes a triangle, no longer fits the cache: the queue jumps to
+//! memory where the mesh, 180 bytes a triangle with edges and queue, no longer fits the cache: the queue jumps to
 //! another place of the mesh each time. Loading ahead what the queue hands out next
 //! (`memoryless/ahead.rs`) took a sixth off the bunny, three tenths off the dragon. No order of
 //! vertices and triangles helped: meshes sorted along a space-filling curve took as long.
@@ -38,6 +38,26 @@ const PIECE: usize = 1 << 20;
 
 fn sample(n_faces: usize) -> EditMesh {
     EditMesh::new(sample_mesh(3, n_faces)).expect("the sample is sound")
+}
+
+/// Bytes for each triangle of the largest sample: the mesh, its edges and the queue, at their most.
+fn memory(_: &mut Criterion) {
+    let resident = |field: &str| {
+        let status = std::fs::read_to_string("/proc/self/status").ok()?;
+        let line = status.lines().find(|line| line.starts_with(field))?;
+        line.split_whitespace().nth(1)?.parse::<u64>().ok()
+    };
+    let before = resident("VmRSS:");
+    let mut mesh = sample(SIZES[2]);
+    let n_faces = mesh.n_faces() as u64;
+    // The peak from here on.
+    let _ = std::fs::write("/proc/self/clear_refs", "5");
+    simplify(&mut mesh, SIZES[2] as u32 / 52, &Params::default(), &mut |_| {
+        ControlFlow::Continue(())
+    });
+    if let (Some(before), Some(peak)) = (before, resident("VmHWM:")) {
+        println!("memory: {} bytes a triangle of {n_faces}", (peak - before) * 1024 / n_faces);
+    }
 }
 
 fn simplification(criterion: &mut Criterion) {
@@ -110,5 +130,5 @@ fn evaluation(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, simplification, resumption, evaluation);
+criterion_group!(benches, memory, simplification, resumption, evaluation);
 criterion_main!(benches);

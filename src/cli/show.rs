@@ -17,6 +17,14 @@ pub(crate) fn print(text: &str) {
     let _ = std::io::stdout().write_all(text.as_bytes());
 }
 
+/// Prints a line of a stream that goes on for nobody else: where the reader has gone, the program ends, well.
+pub(crate) fn print_or_end(line: &str) {
+    let broken = std::io::stdout().write_all(line.as_bytes());
+    if broken.is_err_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe) {
+        std::process::exit(0);
+    }
+}
+
 /// The state of a job from the wire.
 pub(crate) fn state_of(job: &v1::Job) -> Option<State> {
     convert::state_from_wire(job.state)

@@ -28,7 +28,7 @@ pub(crate) struct WatchArgs {
 pub(crate) async fn run(args: WatchArgs) -> Result<(), Failure> {
     let remote = Remote::connect(&args.server).await?;
     if args.json {
-        let line = |event| show::print(&format!("{}\n", show::event_json(&event)));
+        let line = |event| show::print_or_end(&format!("{}\n", show::event_json(&event)));
         remote.follow(&args.job, args.after_seq, line).await?;
     } else {
         let mut bar = Bar::new();

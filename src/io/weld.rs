@@ -4,7 +4,7 @@
 //!    what a file keeps apart stays apart.
 //! 2. At a vertex, bit-equal attribute vectors become one wedge.
 //! 3. Triangles with a repeated vertex are dropped and counted; thin triangles with three
-//!    distinct vertices are kept.
+//!    distinct vertices are kept; a note counts those whose corners are on a line. Nothing but these is no surface.
 //! 4. All patches get the same layers: the union of what they have. Where a patch lacks one,
 //!    colours are white, texture coordinates 0, and normals are computed (the area-weighted mean
 //!    over the patch's triangles at that point). The same mends zero and non-finite normals.
@@ -64,6 +64,15 @@ pub(super) fn weld(source: &Source<'_>, soup: Soup) -> Result<Welded, IoError> {
     let n_degenerate = joiner.n_degenerate;
     let tree = Arc::new(if tree.says_nothing() { Tree::default() } else { tree });
     let (mesh, marks) = joiner.into_mesh(materials);
+    let n_flat = n_without_area(&mesh);
+    if n_flat == mesh.faces.len() {
+        let problem = format!("the corners of each of its {n_flat} triangles are on a line");
+        return Err(source.no_triangles(problem));
+    }
+    if n_flat > 0 {
+        let text = format!("{n_flat} triangles have no area: their corners are on a line");
+        notes.add("triangles_without_area", text);
+    }
     let mesh = Mesh { textures, images, tree, ..mesh };
     Ok(Welded {
         mesh,
@@ -183,6 +192,17 @@ pub(super) fn area_normals(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<D
 /// `v` at length 1, or +Z where it has no direction.
 pub(super) fn unit_or_z(v: DVec3) -> Vec3 {
     v.try_normalize().unwrap_or(DVec3::Z).as_vec3()
+}
+
+/// Triangles whose height is nothing beside their longest side.
+fn n_without_area(mesh: &Mesh) -> usize {
+    const NOTHING: f64 = 1e-12;
+    let is_flat = |face: &&[u32; 3]| {
+        let [a, b, c] = face.map(|v| mesh.positions[v as usize]);
+        let sides = [b - a, c - b, a - c].map(DVec3::length_squared);
+        (b - a).cross(c - a).length() <= NOTHING * sides.into_iter().fold(0.0, f64::max)
+    };
+    mesh.faces.iter().filter(is_flat).count()
 }
 
 /// What messages call a layer.

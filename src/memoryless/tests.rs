@@ -1,6 +1,6 @@
 //! The paper's figures and guarantees, and inputs that no paper expects.
 
-use std::ops::ControlFlow;
+use std::{io::Write as _, ops::ControlFlow};
 
 use glam::DVec3;
 use proptest::prelude::*;
@@ -52,7 +52,7 @@ fn area(mesh: &Mesh) -> f64 {
 fn bunny() -> Option<Mesh> {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/models/stanford_bunny.ply");
     let Ok(text) = std::fs::read_to_string(path) else {
-        eprintln!("skipped: {path} is not there");
+        let _ = writeln!(std::io::stderr(), "skipped: {path} is not there");
         return None;
     };
     let (header, body) = text.split_once("end_header\n").unwrap();

@@ -179,6 +179,8 @@ fn sample_moves(scene: &Scene) -> Vec<Move> {
 
 #[cfg(test)]
 mod tests {
+    use std::io::Write as _;
+
     use super::super::{contract, raster};
     use super::*;
 
@@ -232,7 +234,7 @@ mod tests {
     #[test]
     fn lavapipe_is_known_by_both_names() {
         if !device::adapters().iter().any(|a| a.name.contains("llvmpipe")) {
-            eprintln!("skipped: no lavapipe");
+            let _ = writeln!(std::io::stderr(), "skipped: no lavapipe");
             return;
         }
         for name in ["lavapipe", "LLVMpipe"] {

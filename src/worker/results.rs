@@ -3,12 +3,14 @@
 use std::{fmt::Write as _, fs, path::Path};
 
 use serde::Serialize;
+use serde_json::{Value, json};
 
 use crate::{
     compare,
     io::IngestReport,
     jobs::{event::EnergySample, spec::Spec},
     mesh::{Mesh, Stage},
+    render::adapters,
 };
 
 use super::{
@@ -29,6 +31,8 @@ use super::{
 const TALLEST_SCREEN: f64 = 65_536.0;
 
 const GLB: &str = "model/gltf-binary";
+/// The evaluator that needs no adapter.
+const NATIVE: &str = "native";
 
 /// What a stage cost.
 #[derive(Clone, Debug, Serialize)]
@@ -126,6 +130,8 @@ struct ReportFile<'a> {
     version: &'static str,
     seed: u64,
     device: &'a str,
+    /// What the system says of the device; null for the native evaluator.
+    adapter: Option<Value>,
     input: &'a IngestReport,
     /// Triangles of the original that are in front in no pixel of the run-time pictures; absent
     /// without pictures.
@@ -164,6 +170,12 @@ struct LevelReport<'a> {
     optimization: Option<&'a Optimized>,
 }
 
+fn adapter(device: &str) -> Option<Value> {
+    let mut known = if device == NATIVE { Vec::new() } else { adapters() }.into_iter();
+    let found = known.find(|adapter| adapter.name == device)?;
+    Some(json!({ "name": found.name, "kind": found.kind, "driver": found.driver }))
+}
+
 /// Writes every artifact and tells of each.
 pub(super) fn write_all(
     out_dir: &Path,
@@ -200,10 +212,12 @@ pub(super) fn write_all(
     for (name, plot) in plots {
         out.write(name, "image/svg+xml", plot.as_bytes())?;
     }
+    let device = attempt.figures.last().map_or(NATIVE, |f| f.device.as_str());
     let report = ReportFile {
         version: env!("CARGO_PKG_VERSION"),
         seed: attempt.spec.seed,
-        device: attempt.figures.last().map_or("native", |f| f.device.as_str()),
+        device,
+        adapter: adapter(device),
         input: attempt.ingest,
         never_seen_triangles: attempt.n_unseen,
         spec: attempt.spec,

@@ -2,7 +2,7 @@
 //! MeshLab measures (`evaluate.py` beside the models, `--metro`; d2 on a scale of 0 to 255, distances
 //! in percent of the diagonal).
 
-use std::{collections::BTreeMap, fs, path::PathBuf, process::Command};
+use std::{collections::BTreeMap, fs, io::Write as _, path::PathBuf, process::Command};
 
 use lookalike::{
     compare::{Comparison, Look, Params, Shading, compare},
@@ -103,7 +103,11 @@ fn figures_agree_with_the_independent_evaluator_itself() {
     let mut probe = Command::new(&python);
     let packages = probe.args(["-c", "import moderngl, numpy, pymeshlab, trimesh"]).output();
     if !script.exists() || !packages.is_ok_and(|output| output.status.success()) {
-        eprintln!("skipped: no {} or no packages for it in {python}", script.display());
+        let _ = writeln!(
+            std::io::stderr(),
+            "skipped: no {} or no packages for it in {python}",
+            script.display()
+        );
         return;
     }
     let dir = tempfile::tempdir().unwrap();

@@ -16,7 +16,7 @@ fn obj(faces: &str) -> Vec<u8> {
 #[test]
 fn files_that_cannot_be_read_are_refused_with_the_reason() {
     let glb = sample(2000);
-    let cases: [(&str, &str, Vec<u8>); 6] = [
+    let cases: [(&str, &str, Vec<u8>); 7] = [
         ("an empty file", "a.glb", Vec::new()),
         ("a truncated GLB", "a.glb", glb[..glb.len() / 2].to_vec()),
         (
@@ -26,6 +26,7 @@ fn files_that_cannot_be_read_are_refused_with_the_reason() {
         ),
         ("an index out of range", "a.obj", obj("f 1 2 9\n")),
         ("degenerate triangles alone", "a.obj", obj("f 1 1 2\nf 3 3 3\n")),
+        ("triangles on a line", "a.obj", b"v 0 0 0\nv 1 1 1\nv 3 3 3\nf 1 2 3\n".to_vec()),
         ("no format at all", "a.xyz", b"hello".into()),
     ];
     for (what, name, bytes) in cases {

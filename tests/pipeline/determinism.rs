@@ -1,5 +1,7 @@
 //! Same input, specification and build: same bytes, whatever computes them.
 
+use std::io::Write as _;
+
 use lookalike::{
     io::{Limits, read},
     jobs::spec::{Effort, Optimize, Render, Shading, Spec},
@@ -44,7 +46,8 @@ fn threads_do_not_matter() {
 fn devices_do_not_matter() {
     let fit: Vec<_> = adapters().into_iter().filter(|a| a.unfit.is_none()).collect();
     if fit.is_empty() {
-        eprintln!("skipped: no Vulkan adapter (install mesa-vulkan-drivers)");
+        let _ =
+            writeln!(std::io::stderr(), "skipped: no Vulkan adapter (install mesa-vulkan-drivers)");
     }
     let input = sample(3000);
     for adapter in fit {
@@ -53,6 +56,7 @@ fn devices_do_not_matter() {
             let device = job(spec, "sample.glb", &input, &adapter.name);
             assert!(device.result.is_ok(), "{}: {:?}", adapter.name, device.result);
             assert_eq!(native.timeless(), device.timeless(), "{}", adapter.name);
+            assert_eq!(device.report()["adapter"]["driver"], adapter.driver);
         }
     }
 }

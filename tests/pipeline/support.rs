@@ -1,6 +1,6 @@
 //! Runs a job in a temporary folder and collects what it said and left.
 
-use std::{collections::BTreeMap, fs, ops::ControlFlow, path::PathBuf};
+use std::{collections::BTreeMap, fs, io::Write as _, ops::ControlFlow, path::PathBuf};
 
 use lookalike::{
     compare::sample_mesh,
@@ -145,7 +145,8 @@ pub fn real_model(file: &str) -> Option<Vec<u8>> {
     let models = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/models");
     let bytes = fs::read(models.join(file)).ok();
     if bytes.is_none() {
-        eprintln!("skipped: {} is not there", models.join(file).display());
+        let _ =
+            writeln!(std::io::stderr(), "skipped: {} is not there", models.join(file).display());
     }
     bytes
 }

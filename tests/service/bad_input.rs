@@ -1,7 +1,7 @@
 //! Malformed, degenerate and impossible models, sent to a server: the log of each job says why it
 //! failed, or what was unusual about its success.
 
-use std::{fs, path::PathBuf};
+use std::{fs, io::Write as _, path::PathBuf};
 
 use serde_json::Value;
 
@@ -73,7 +73,7 @@ fn the_log_says_what_a_model_forbids() {
 
     let house = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/models/house_scene.glb");
     let Ok(bytes) = fs::read(&house) else {
-        eprintln!("skipped: {} is not there", house.display());
+        let _ = writeln!(std::io::stderr(), "skipped: {} is not there", house.display());
         return;
     };
     let (log, code) = log_of(&server, "house.glb", &bytes, "1000");

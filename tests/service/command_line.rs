@@ -2,6 +2,7 @@
 
 use std::{
     fs,
+    io::{BufRead, BufReader},
     process::Stdio,
     time::{Duration, Instant},
 };
@@ -81,6 +82,22 @@ async fn a_running_job_is_cancelled() {
     assert_eq!(state(&ended(&client, &next).await), State::Succeeded);
     assert_eq!(server.run("watch", &[&name]).status.code(), Some(130));
     assert_eq!(server.run("cancel", &[&next]).status.code(), Some(1));
+}
+
+/// `watch --json | head -1`: not to the end of the job.
+#[test]
+fn who_watches_for_nobody_ends() {
+    let server = Server::start_with(&["--workers=0"]);
+    let file = server.file("torus.ply", &small_torus());
+    let name = text(&server.run("submit", &[&[&*file, "--no-wait"], &JOB[..]].concat()).stdout);
+    let mut watch = server.command("watch", &[name.trim(), "--json"]);
+    let mut watch = watch.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+    let mut first = String::new();
+    BufReader::new(watch.stdout.take().unwrap()).read_line(&mut first).unwrap();
+    assert!(first.contains("QUEUED"), "{first}");
+    // One more line; without it a watcher that goes on would end by the job's code.
+    assert!(server.run("cancel", &[name.trim()]).status.success());
+    assert_eq!(watch.wait().unwrap().code(), Some(0));
 }
 
 #[test]

@@ -75,6 +75,7 @@ fn the_report_has_its_fields() {
     let report = report(folder.path());
     assert_eq!(report["version"], env!("CARGO_PKG_VERSION"));
     assert_eq!((report["seed"].as_u64(), report["device"].as_str()), (Some(5), Some("native")));
+    assert!(report["adapter"].is_null(), "the native evaluator has none");
     assert_eq!(report["input"]["triangles"], 5000);
     assert_eq!(report["input"]["vertices"], 2500);
     assert_eq!(report["input"]["boundary_edges"], 0);

@@ -30,7 +30,8 @@ impl Cluster {
         let folder = line(&mut answers);
         if folder.is_empty() {
             assert!(script.wait().unwrap().success(), "PostgreSQL does not start: see above");
-            eprintln!("skipped: no PostgreSQL (apt-get install postgresql)");
+            let _ =
+                writeln!(std::io::stderr(), "skipped: no PostgreSQL (apt-get install postgresql)");
             return None;
         }
         Some(Self { folder, n_databases: 0, orders, answers, _script: script })

@@ -101,6 +101,13 @@ fn nothing_but_degenerate_triangles() {
     let obj = b"v 0 0 0\nv 1 0 0\nv 1 0 0\nf 1 2 3\nf 1 2 2\n";
     check("a.obj", obj, "NO_TRIANGLES", "each of its 2 triangles");
     check("a.obj", b"v 0 0 0\n", "NO_TRIANGLES", "no surface");
+    let on_a_line = b"v 0 0 0\nv 0.1 0.3 0\nv 0.2 0.6 0\nv 0.5 1.5 0\nf 1 2 3\nf 2 3 4\n";
+    check("a.obj", on_a_line, "NO_TRIANGLES", "are on a line");
+    // One of three: it stays, and is told of.
+    let mixed = [&on_a_line[..], b"v 9 0 0\nf 1 2 5\n"].concat();
+    let Ingest { mesh, report, .. } = load("a.obj", &mixed).unwrap();
+    let told = report.notes.iter().find(|n| n.code == "triangles_without_area").unwrap();
+    assert_eq!((mesh.faces.len(), &told.text[..1]), (3, "2"));
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! The real models, where they are: counts against their table, reports against snapshots.
 
-use std::path::PathBuf;
+use std::{io::Write as _, path::PathBuf};
 
 use super::*;
 
@@ -27,7 +27,7 @@ pub(super) fn model(name: &str) -> Option<Vec<u8>> {
     let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/models").join(name);
     let bytes = std::fs::read(&path).ok();
     if bytes.is_none() {
-        eprintln!("skipped: {} is not there", path.display());
+        let _ = writeln!(std::io::stderr(), "skipped: {} is not there", path.display());
     }
     bytes
 }

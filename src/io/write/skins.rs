@@ -131,9 +131,9 @@ impl SkinOfPart<'_> {
     }
 }
 
-/// Shares in whole steps of 16 bits, which add up to 65,535: the largest takes what rounding leaves.
+/// Shares in whole steps of 16 bits, which add up to 65,535: rounded down, but for the largest, which takes the rest.
 fn to_steps(shares: [f32; MAX_JOINTS]) -> [f32; MAX_JOINTS] {
-    let mut steps = shares.map(|share| (share * 65_535.0).round());
+    let mut steps = shares.map(|share| (share * 65_535.0).floor());
     steps[0] = 65_535.0 - steps[1..].iter().sum::<f32>();
     steps.map(|n| n / 65_535.0)
 }

@@ -1,5 +1,7 @@
 //! The device against the contract and against the native twin.
 
+use std::io::Write as _;
+
 use glam::DVec3;
 use proptest::{
     prelude::*,
@@ -23,7 +25,7 @@ use super::{
 pub(super) fn open() -> Option<Gpu> {
     let adapter = device::enumerate().into_iter().find(|a| device::describe(a).unfit.is_none());
     if adapter.is_none() {
-        eprintln!("skipped: no Vulkan adapter");
+        let _ = writeln!(std::io::stderr(), "skipped: no Vulkan adapter");
     }
     Some(Gpu::open(&adapter?).expect("the adapter opens"))
 }

@@ -6,7 +6,7 @@
 mod forgetful;
 mod proxy;
 
-use std::{path::Path, process::Output, time::Instant};
+use std::{io::Write as _, path::Path, process::Output, time::Instant};
 
 use lookalike::service::proto::v1;
 use tokio::process::Command;
@@ -125,7 +125,10 @@ async fn chaos_between_command_line_server_and_worker() {
 async fn chaos_between_python_server_and_worker() {
     // `make python` installs the client, and runs this test again.
     let Ok(python) = std::env::var("LOOKALIKE_PYTHON") else {
-        eprintln!("skipped: LOOKALIKE_PYTHON names no Python that has the client (make python)");
+        let _ = writeln!(
+            std::io::stderr(),
+            "skipped: LOOKALIKE_PYTHON names no Python that has the client (make python)"
+        );
         return;
     };
     broken_network(|url, server, id, out| submit_in_python(&python, url, server, id, out)).await;
