@@ -19,7 +19,7 @@ use super::{
     primitive::Values,
     scene::{Placement, Visited, kept_name},
 };
-use crate::mesh::{self, Semantic, Tree, skin::settled};
+use crate::mesh::{self, Semantic, Tree, skin};
 
 /// Joints of all skins together; singles count further.
 const MAX_JOINTS: u64 = 1 << 20;
@@ -208,6 +208,37 @@ pub(super) fn read_joints(
     if joints.is_empty() {
         return Ok(None);
     }
+    let sets = joint_sets(values, soup, place)?;
+    let n_joints = joints.len() as u64;
+    let mut skins = Vec::with_capacity(values.n_points as usize * skin::WIDTH);
+    for point in 0..values.n_points as usize {
+        let of_point = sets.iter().flat_map(|(indices, shares)| {
+            indices[4 * point..][..4].iter().zip(&shares[4 * point..][..4])
+        });
+        let mut moving = of_point.filter(|(_, share)| **share > 0.0);
+        if let Some((joint, _)) = moving.clone().find(|(joint, _)| **joint >= n_joints as f32) {
+            let place = format!("{place}, vertex {point}");
+            let source = values.document.source;
+            return Err(source.out_of_range(place, "joints", *joint as i64, n_joints));
+        }
+        let shares = moving.by_ref().map(|(j, share)| (joints.start + *j as u32, (*share).into()));
+        let mut found = skin::settled(shares);
+        if found[skin::MAX_JOINTS] == 0.0 {
+            if n_joints > 1 {
+                soup.notes.add("skin_mended", "what no joint moves goes along with the first one");
+            }
+            found = skin::settled([(joints.start, 1.0)]);
+        }
+        skins.extend(found);
+    }
+    Ok(Some(Attribute { semantic: Semantic::Skin, values: skins }))
+}
+
+/// Joints and shares, four for each vertex.
+type Set = (Vec<f32>, Vec<f32>);
+
+/// All sets that are whole.
+fn joint_sets(values: &Values<'_>, soup: &mut Soup, place: &str) -> Result<Vec<Set>, IoError> {
     let four: &[Type] = &[Type::Vec4];
     let mut sets = Vec::new();
     for set in 0..MAX_SETS {
@@ -219,27 +250,5 @@ pub(super) fn read_joints(
     if sets.len() > 1 {
         soup.notes.add("skin_reduced", "four joints of a vertex are kept, those that move it most");
     }
-    let mut skins = Vec::with_capacity(values.n_points as usize * mesh::skin::WIDTH);
-    for point in 0..values.n_points as usize {
-        let of_point = sets.iter().flat_map(|(indices, shares)| {
-            indices[4 * point..][..4].iter().zip(&shares[4 * point..][..4])
-        });
-        let mut found = settled(of_point.clone().filter_map(|(joint, share)| {
-            let number = joints.start.saturating_add(*joint as u32);
-            joints.contains(&number).then_some((number, f64::from(*share)))
-        }));
-        let n = joints.len() as u64;
-        if let Some((joint, _)) = of_point.into_iter().find(|(j, w)| **w > 0.0 && **j >= n as f32) {
-            let place = format!("{place}, vertex {point}");
-            return Err(values.document.source.out_of_range(place, "joints", *joint as i64, n));
-        }
-        if found[mesh::skin::MAX_JOINTS] == 0.0 {
-            if joints.len() > 1 {
-                soup.notes.add("skin_mended", "what no joint moves goes along with the first one");
-            }
-            found = settled([(joints.start, 1.0)]);
-        }
-        skins.extend(found);
-    }
-    Ok(Some(Attribute { semantic: Semantic::Skin, values: skins }))
+    Ok(sets)
 }
