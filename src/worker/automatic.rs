@@ -33,8 +33,8 @@
 //! 20 views throughout: with 12 of them ten models at 1% to 10% (pictures as above, before coordinates were unknowns) look
 //! worse, each of them, by 7% in the geometric mean (bunny and house by .4%, armadillo 2, spot 3, barramundi 3, ship 4,
 //! helmet 5, corset 7, frog 12, the engine, of which most is hidden, 34), for three quarters of the time. 24 are those
-//! that levels are judged by, which therefore cannot judge them. 8 times brings bunny and armadillo nothing (1.00). Memory grows with the pictures: 150 to 320,
-//! 300 to 630 and 920 to 1,390 MiB for 256², 512² and 1,024².
+//! that levels are judged by, which therefore cannot judge them. 8 times brings bunny and armadillo nothing (1.00). Memory
+//! grows with the pictures: 150 to 320, 300 to 630 and 920 to 1,390 MiB for 256², 512² and 1,024².
 
 use crate::{
     io::IngestReport,
