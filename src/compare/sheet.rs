@@ -423,8 +423,12 @@ impl Page {
         canvas.text(x, y + 20, 16, FAINT, "0");
         let right = x + self.tile.saturating_sub(text_width(16, &full));
         canvas.text(right, y + 20, 16, FAINT, &full);
-        let what = format!("luminance difference × {gain}");
-        canvas.text(x.saturating_sub(text_width(16, &what) + 16), y, 16, FAINT, &what);
+        // Beside a single level there is less room.
+        let texts = ["luminance difference", "difference"].map(|what| format!("{what} × {gain}"));
+        let place = |what| Some((x.checked_sub(text_width(16, what) + 16)?, what));
+        if let Some((left, what)) = texts.iter().find_map(|what| place(what)) {
+            canvas.text(left, y, 16, FAINT, what);
+        }
     }
 }
 
