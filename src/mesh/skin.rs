@@ -58,10 +58,10 @@ pub(super) fn mean(skins: &[(f64, &[f32])]) -> [f32; WIDTH] {
 
 /// The skin where a collapse leads to: what triangles say, each joint's share within the range that it has at their
 /// corners; `ends` are the skins of the two vertices, and `t` says which is how near where no triangle says anything.
-pub(super) fn fitted<'o>(
+pub(super) fn fitted(
     layer: &AttributeLayer,
     plan: &Collapse,
-    opinions: impl IntoIterator<Item = &'o Opinion, IntoIter: Clone>,
+    opinions: &[Opinion],
     ends: [&[f32]; 2],
     t: f64,
 ) -> [f32; WIDTH] {
@@ -72,22 +72,16 @@ pub(super) fn fitted<'o>(
     if plan.to == plan.drop_from {
         return mean(&[(1.0, ends[1])]);
     }
-    let opinions = opinions.into_iter();
-    let corners = opinions.clone().flat_map(|o| o.wedges).flat_map(|w| shares(layer.get(w)));
+    let corners = opinions.iter().flat_map(|o| o.wedges).flat_map(|w| shares(layer.get(w)));
     let mut joints: SmallVec<[u32; 16]> = corners.map(|(joint, _)| joint).collect();
     joints.sort_unstable();
     joints.dedup();
-    let skin =
-        settled(joints.into_iter().map(|joint| (joint, share(layer, opinions.clone(), joint))));
+    let skin = settled(joints.into_iter().map(|joint| (joint, share(layer, opinions, joint))));
     if skin[MAX_JOINTS] > 0.0 { skin } else { mean(&[(1.0 - t, ends[0]), (t, ends[1])]) }
 }
 
 /// The share of a joint by what triangles say, within the range at their corners.
-fn share<'o>(
-    layer: &AttributeLayer,
-    opinions: impl Iterator<Item = &'o Opinion>,
-    joint: u32,
-) -> f64 {
+fn share(layer: &AttributeLayer, opinions: &[Opinion], joint: u32) -> f64 {
     let (mut sum, mut total) = (0.0, 0.0);
     let (mut low, mut high) = (f64::INFINITY, 0.0_f64);
     for opinion in opinions {

@@ -51,20 +51,24 @@ impl EditMesh {
         let t = edge_parameter(plan.keep_from, plan.drop_from, plan.to);
         let opinions_of =
             |k: usize| self.opinions(plan, pairs[k], WedgeId(plan.first_new_wedge.0 + k as u32));
-        let opinions: SmallVec<[Opinions; 2]> = (0..pairs.len()).map(opinions_of).collect();
         for (k, pair) in pairs.iter().enumerate() {
+            let opinions = opinions_of(k);
             for layer in &self.mesh.layers {
                 let [a, b] = pair.map(|wedge| layer.get(wedge));
                 let start = values.len();
                 if layer.semantic == Semantic::Skin {
                     values.extend(match self.whole_skin(layer, plan) {
-                        Some(ends) => skin::fitted(layer, plan, opinions.iter().flatten(), ends, t),
-                        None => skin::fitted(layer, plan, &opinions[k], [a, b], t),
+                        Some(ends) => {
+                            let all: Vec<Opinion> =
+                                (0..pairs.len()).flat_map(opinions_of).collect();
+                            skin::fitted(layer, plan, &all, ends, t)
+                        }
+                        None => skin::fitted(layer, plan, &opinions, [a, b], t),
                     });
-                } else if opinions[k].is_empty() {
+                } else if opinions.is_empty() {
                     values.extend(a.iter().zip(b).map(|(&a, &b)| lerp(a, b, t)));
                 } else {
-                    values.extend((0..layer.width).map(|at| fitted(&opinions[k], layer, at)));
+                    values.extend((0..layer.width).map(|at| fitted(&opinions, layer, at)));
                 }
                 settle(&mut values[start..], layer, [a, b], t);
             }
@@ -74,7 +78,7 @@ impl EditMesh {
 
     /// What the triangles of a pair say of the place that a collapse leads to; none of a triangle too thin to
     /// say anything.
-    fn opinions(&self, plan: &Collapse, pair: Pair, new: WedgeId) -> Opinions {
+    fn opinions(&self, plan: &Collapse, pair: Pair, new: WedgeId) -> SmallVec<[Opinion; 12]> {
         let ends = [plan.keep, plan.drop];
         let is_of_pair = |r: &&RemovedFace| {
             let of_end = |end| r.wedges[r.vertices.iter().position(|v| *v == end).unwrap_or(0)];
@@ -121,8 +125,6 @@ pub(super) struct Opinion {
     pub(super) shares: [f64; 3],
     pub(super) wedges: [WedgeId; 3],
 }
-
-type Opinions = SmallVec<[Opinion; 12]>;
 
 /// Squared double area of a triangle, and the shares of its corners at the projection of `x` on its plane, which add
 /// up to 1; `None` of a sliver.
