@@ -16,7 +16,7 @@ pub struct Node {
     /// glTF's `translation`, `rotation`, `scale` or `matrix`, word for word, of a joint and of what is above one.
     /// Others have none: their geometry is in world space.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub transform: Option<serde_json::Value>,
+    pub transform: Option<serde_json::Map<String, serde_json::Value>>,
 }
 
 /// An instance of a mesh: what one node placed.
@@ -91,5 +91,19 @@ impl Tree {
             && self.skins.is_empty()
             && self.nodes.iter().all(is_bare)
             && self.parts.iter().all(|part| part.mesh.is_empty())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Trees come from files, too: what is no transform must not get as far as a writer.
+    #[test]
+    fn a_transform_is_an_object() {
+        for (transform, is_one) in [("{}", true), ("5", false), ("[1]", false), ("\"x\"", false)] {
+            let text = format!(r#"{{"nodes": [{{"transform": {transform}}}], "parts": []}}"#);
+            assert_eq!(serde_json::from_str::<Tree>(&text).is_ok(), is_one, "{transform}");
+        }
     }
 }

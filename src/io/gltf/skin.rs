@@ -11,7 +11,7 @@ use std::ops::Range;
 
 use glam::DMat4;
 use gltf::json::{accessor::Type, mesh::Semantic as JsonSemantic, skin::Skin};
-use serde_json::{Map, Value, json};
+use serde_json::{Map, json};
 
 use super::{
     super::soup::Attribute,
@@ -194,7 +194,7 @@ fn keep_transforms(document: &Document<'_>, tree: &mut Tree, visited: &Visited) 
             ("scale", node.scale.map(|s| json!(s))),
         ];
         transform.extend(rows.into_iter().filter_map(|(key, v)| Some((key.to_owned(), v?))));
-        tree.nodes[place.own as usize].transform = Some(Value::Object(transform));
+        tree.nodes[place.own as usize].transform = Some(transform);
     }
 }
 
@@ -215,13 +215,13 @@ pub(super) fn read_joints(
         let of_point = sets.iter().flat_map(|(indices, shares)| {
             indices[4 * point..][..4].iter().zip(&shares[4 * point..][..4])
         });
-        let mut moving = of_point.filter(|(_, share)| **share > 0.0);
+        let moving = of_point.filter(|(_, share)| **share > 0.0);
         if let Some((joint, _)) = moving.clone().find(|(joint, _)| **joint >= n_joints as f32) {
             let place = format!("{place}, vertex {point}");
             let source = values.document.source;
             return Err(source.out_of_range(place, "joints", *joint as i64, n_joints));
         }
-        let shares = moving.by_ref().map(|(j, share)| (joints.start + *j as u32, (*share).into()));
+        let shares = moving.map(|(j, share)| (joints.start + *j as u32, (*share).into()));
         let mut found = skin::settled(shares);
         if found[skin::MAX_JOINTS] == 0.0 {
             if n_joints > 1 {

@@ -67,7 +67,7 @@ fn a_skin_is_read_as_it_was_bound() {
     let want = [("rig", true), ("root", true), ("tip", true), ("hat", false), ("body", false)];
     assert_eq!(moved, want);
     assert_eq!(
-        tree.nodes[0].transform,
+        tree.nodes[0].transform.clone().map(Value::Object),
         Some(json!({
             "translation": [0.0, 10.0, 0.0], "scale": [100.0, 100.0, 100.0],
         }))

@@ -58,7 +58,7 @@ pub(super) fn put_skins(
             Some(parent) => add_child(&mut nodes[parent], own),
             None => skins.roots.push(own),
         }
-        nodes.push(named(transform.clone(), &node.name));
+        nodes.push(named(Value::Object(transform.clone()), &node.name));
     }
     let new = |node: &u32| new_ids[*node as usize];
     for skin in &tree.skins {
