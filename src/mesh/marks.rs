@@ -126,11 +126,16 @@ impl EditMesh {
     /// The same mesh with marks, whose vertices are its own.
     #[must_use]
     pub fn with_marks(mut self, marks: Marks) -> Self {
+        self.mark(marks);
+        self
+    }
+
+    /// Says something else of its vertices.
+    pub fn mark(&mut self, marks: Marks) {
         self.marks = marks;
         if self.marks.n_locked() == 0 {
             self.marks.locked.clear();
         }
-        self
     }
 
     /// What is said of its vertices.

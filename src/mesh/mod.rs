@@ -13,6 +13,7 @@ mod marks;
 mod model;
 mod parts;
 mod refine;
+mod repeat;
 mod revise;
 pub mod shapes;
 pub mod skin;
@@ -37,6 +38,7 @@ pub use model::{
     Texture, TextureUse, VertexId, WedgeId, Wrap,
 };
 pub use parts::{Node, Part, Skin, Tree};
+pub use repeat::Names;
 pub use snapshot::Snapshot;
 pub use source::{Emission, Glow, Glowing};
 pub use step::{MoveCount, Sample, Stage, Step};

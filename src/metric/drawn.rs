@@ -296,8 +296,13 @@ impl<'s> Drawn<'s> {
         }
     }
 
+    /// The triangle seen in a pixel, or [`NOTHING`].
+    pub(super) fn id(&self, pixel: usize) -> u32 {
+        self.ids[pixel]
+    }
+
     /// The luminance of a triangle in a pixel, in which another may be seen.
-    fn luminance(&self, id: u32, pixel: usize) -> f64 {
+    pub(super) fn luminance(&self, id: u32, pixel: usize) -> f64 {
         with_glow(self.bare_luminance(id, pixel) * self.texel(id, pixel), self.glow(id, pixel)).0
     }
 

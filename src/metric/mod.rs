@@ -16,6 +16,7 @@ pub mod image;
 pub mod masking;
 mod objective;
 mod palette;
+mod regional;
 mod shade;
 mod shown;
 mod slopes;
@@ -35,5 +36,6 @@ pub use objective::{
     with_vertex_normals,
 };
 pub use palette::Palette;
+pub use regional::{NOWHERE, changes_by_region};
 pub use slopes::{Slope, Slopes, slopes};
 pub use template::{Change, Free, Template};

@@ -147,6 +147,8 @@ pub(super) struct Stretch {
     pub end: u64,
     /// The mesh has as many triangles as it should, so that its energy is to be heard of.
     pub counts: bool,
+    /// It is cut into patches, and vertices do not go from one to another.
+    pub is_cut: bool,
 }
 
 /// See [`alternate`].
@@ -219,7 +221,7 @@ impl<'a> Alternation<'a> {
             self.settle(mesh, show)?;
         }
         for k in 1..=n_cycles {
-            self.cycle(mesh, before_cycles + k * length, show, on)?;
+            self.cycle(mesh, (k, before_cycles + k * length), show, on)?;
             let settled = self.settle(mesh, show);
             heard(self.sample(mesh, on))?;
             settled?;
@@ -377,6 +379,7 @@ impl<'a> Alternation<'a> {
             until: if is_heard { self.params.until * first } else { 0.0 },
             // Descents know no pixels: what is left to find for one set of pictures, searches find.
             has_vertex_moves: self.params.has_vertex_moves && self.turns.n_looked_at == 1,
+            has_teleports: self.params.has_teleports && !stretch.is_cut,
             ..self.params.clone()
         };
         let is_search = self.turns.is_search();

@@ -65,7 +65,7 @@ impl Alternation<'_> {
         show: &mut Shower<'_, E>,
         on: &mut Listener<'_>,
     ) -> Result<(), Halt<E>> {
-        let stretch = Stretch { end, counts: true };
+        let stretch = Stretch { end, counts: true, is_cut: false };
         if self.sets.len() == 1 {
             return self.take_turns(mesh, stretch, show, on);
         }

@@ -24,6 +24,7 @@ mod held;
 mod operations;
 mod oracle;
 mod params;
+mod patches;
 mod prices;
 mod quadratic;
 mod rng;

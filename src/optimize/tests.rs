@@ -27,13 +27,13 @@ use crate::{
 
 /// A torus with bumps, and what 100 triangles are left of it.
 fn models() -> (Mesh, Mesh) {
-    models_of(shapes::torus(24, 16, 0.2))
+    models_of(shapes::torus(24, 16, 0.2), 100)
 }
 
-fn models_of(original: Mesh) -> (Mesh, Mesh) {
+fn models_of(original: Mesh, n_faces: u32) -> (Mesh, Mesh) {
     let mut mesh = EditMesh::new(original.clone()).unwrap();
     let params = memoryless::Params::default();
-    memoryless::simplify(&mut mesh, 100, &params, &mut |_| ControlFlow::Continue(()));
+    memoryless::simplify(&mut mesh, n_faces, &params, &mut |_| ControlFlow::Continue(()));
     (original, mesh.snapshot())
 }
 
@@ -239,7 +239,7 @@ fn turns_are_repeatable_and_move_normals_where_asked() {
 fn texture_coordinates_and_colours_move_where_asked() {
     let torus = || shapes::torus(24, 16, 0.2);
     for dressed in [striped(torus()), coloured(torus())] {
-        let (original, simplified) = models_of(dressed);
+        let (original, simplified) = models_of(dressed, 100);
         let pictures = pictures(&original, Shading::Flat);
         let [still, free, again] = [false, true, true].map(|optimizes_attributes| {
             let params = Params { optimizes_attributes, ..budget(5_000) };
@@ -301,7 +301,7 @@ fn descents_find_coordinates_and_colours_again() {
 /// With locked vertices their values stay, too.
 #[test]
 fn values_at_locked_vertices_stay() {
-    let (original, simplified) = models_of(striped(shapes::torus(24, 16, 0.2)));
+    let (original, simplified) = models_of(striped(shapes::torus(24, 16, 0.2)), 100);
     let pictures = pictures(&original, Shading::Flat);
     let sets = [ViewSet::turned(&original, &pictures, bounding_sphere(&original).center, 0)];
     let is_locked = |v: usize| v.is_multiple_of(3);
@@ -353,6 +353,29 @@ fn cycles_keep_the_triangles_and_tell_the_edits_of_those_that_helped() {
     }
 }
 
+/// Four cycles of the whole mesh, then some of its patches (which 100 triangles are too few for).
+#[test]
+fn later_cycles_go_patch_by_patch_and_tell_what_they_keep() {
+    for shading in [Shading::Flat, Shading::Smooth] {
+        let (original, simplified) = models_of(shapes::torus(24, 16, 0.2), 300);
+        let pictures = pictures(&original, shading);
+        let start = match shading {
+            Shading::Flat => simplified,
+            Shading::Smooth => with_vertex_normals(simplified),
+        };
+        let params = Params { optimizes_normals: true, ..budget(120_000) };
+        let run = || take_turns(&original, start.clone(), &pictures, &params, 15_000);
+        let (ran, again) = (run(), run());
+        assert!(ran.mesh == again.mesh && ran.samples == again.samples);
+        assert!(ran.replayed == ran.mesh, "the edits that were told do not lead to the mesh");
+        assert!((290..=300).contains(&ran.mesh.faces.len()), "{}", ran.mesh.faces.len());
+        let energies: Vec<_> = ran.samples.iter().map(|s| s.energy).collect();
+        // Of the start, four cycles of the whole mesh, the others, the end.
+        let later = &energies[4..energies.len() - 1];
+        assert!(later.windows(2).any(|e| e[0] != e[1]), "no patch was better: {energies:?}");
+    }
+}
+
 #[test]
 fn a_cycle_that_does_not_help_leaves_no_trace() {
     let (original, simplified) = models();
@@ -379,7 +402,7 @@ fn what_is_told_is_what_was_done_wherever_the_caller_breaks_off() {
         let mut n_told = 0;
         let outcome = alternate::<OptimizeError>(
             &mut mesh,
-            &budget(20_000),
+            &budget(40_000),
             Turns {
                 evaluations: 1_000,
                 n_others: 1,
