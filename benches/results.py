@@ -55,6 +55,7 @@ QUICK_BYTES = 4_000_000
 
 MEMORYLESS = ("--simplify", "memoryless")
 CLUSTER = ("--simplify", "cluster", "--topology", "free")
+SMOOTH = ("--shading", "smooth")
 NORMALS = (*MEMORYLESS, "--shading", "smooth", "--optimize-normals")
 
 EXPERIMENTS = [
@@ -90,6 +91,11 @@ EXPERIMENTS = [
     Experiment(
         "bunny, clustered", "stanford_bunny.glb", 1600, 8_000_000, CLUSTER, "25.3", is_long=True
     ),
+    # As viewers show a model without normals of its own whose triangles share vertices.
+    Experiment(
+        "bunny, image-driven, Gouraud", "stanford_bunny.glb", 1333, 700_000, SMOOTH, smooth=True
+    ),
+    Experiment("armadillo, image-driven, Gouraud", "armadillo.glb", 864, 450_000, SMOOTH, smooth=True),
 ]
 
 

@@ -199,8 +199,9 @@ impl Alternation<'_> {
             return Err(halt);
         }
         let is_better = self.better(mesh, &copy, &patches);
+        let done = repeat(mesh, &edits, &patches, &is_better);
         self.forget(mesh);
-        heard(tell(&repeat(mesh, &edits, &patches, &is_better), on))
+        heard(tell(&done, on))
     }
 
     /// Which patches look better in all view sets together.
