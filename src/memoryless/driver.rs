@@ -30,7 +30,7 @@ const N_REPORTS: usize = 200;
 /// visible bend, sends short edges first, so that such regions thin out evenly.
 const FLAT_SHARE: f64 = 1e-12;
 
-/// What the tape is asked: the key of an edge. (0 to 7: `render`, `optimize`, `worker`.)
+/// What the tape is asked: the key of an edge. (0 to 7 and 9: `render`, `optimize`, `worker`.)
 const KEY: u8 = 8;
 
 /// A vertex of more triangles is a hub. Every collapse at it costs time in proportion to them, so its

@@ -6,7 +6,8 @@
 //!    [`EditMesh`]: [`EditMesh::may_collapse`] and the plans of splits and swaps see to that, who
 //!    moves vertices asks [`EditMesh::is_locked`], and who collapses asks
 //!    [`EditMesh::survivor_first`] and [`EditMesh::fixed_place`];
-//! 2. an edge between two locked vertices is neither split nor swapped;
+//! 2. an edge between two locked vertices is neither split nor swapped, and a collapse that ends at a locked vertex
+//!    leaves its attributes as they are;
 //! 3. marks are no part of a mesh: edits do not record them, and an undo does not restore weights.
 
 use std::collections::BTreeMap;

@@ -28,8 +28,8 @@ impl Names {
 
 impl EditMesh {
     /// Makes an edit that was made in a copy of this mesh, after those before it. Of new attribute values, which may be
-    /// those of many places at once, the corners of wanted triangles of the copy get theirs. `None` if the surroundings are
-    /// not what they were, and nothing is done then.
+    /// those of many places at once, the corners of wanted triangles of the copy get theirs. `None` if there is
+    /// no such edge, or no wanted corner, and nothing is done then.
     pub fn repeat(
         &mut self,
         edit: Edit<'_>,

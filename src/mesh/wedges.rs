@@ -52,6 +52,11 @@ impl EditMesh {
         let opinions_of =
             |k: usize| self.opinions(plan, pairs[k], WedgeId(plan.first_new_wedge.0 + k as u32));
         for (k, pair) in pairs.iter().enumerate() {
+            if self.is_locked(plan.keep) && pair[0] != pair[1] {
+                // What stays where it is stays as it is.
+                values.extend(self.mesh.layers.iter().flat_map(|layer| layer.get(pair[0])));
+                continue;
+            }
             let opinions = opinions_of(k);
             for layer in &self.mesh.layers {
                 let [a, b] = pair.map(|wedge| layer.get(wedge));

@@ -10,8 +10,8 @@ use super::{drawn::Drawn, shown::Shown};
 pub const NOWHERE: u32 = u32::MAX;
 
 /// How much more energy the pictures of the second scene have than those of the first, by region; both scenes come with
-/// the region of each triangle. A pixel counts for the region that is seen in it, half for each if one was seen
-/// before and another is after. Sums run in view order, so they do not depend on threads.
+/// the region of each triangle. A pixel counts for the region that is seen in it before or after, half for each if these are
+/// two. Sums run in view order, so they do not depend on threads.
 pub fn changes_by_region(
     scenes: [(&Scene, &[u32]); 2],
     reference: &Reference,

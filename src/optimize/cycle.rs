@@ -40,7 +40,7 @@ use std::ops::ControlFlow;
 
 use crate::{
     memoryless,
-    mesh::{EditMesh, EditRecord, FaceId, Step, VertexId},
+    mesh::{EditMesh, EditRecord, FaceId, Step, Topology, VertexId},
     metric::{Objective, scene_as_drawn, slopes},
     simplify::{self, Policy, Rules, Simplifier},
 };
@@ -124,11 +124,10 @@ impl Alternation<'_> {
         let spent = self.outcome.evaluations;
         let finer_until = spent + end.saturating_sub(spent) / FINER_FOR;
         let seed = self.params.seed ^ spent;
-        let targets = patches.as_ref().map(|patches| patches.sizes(mesh));
         let splits = refine(mesh, worst, &mut Rng::new(seed));
-        let cut = patches.zip(targets).map(|(patches, targets)| {
+        let cut = patches.map(|patches| {
             patches.follow(&splits);
-            (&*patches, targets)
+            &*patches
         });
         let is_cut = cut.is_some();
         heard(tell(&splits, on))?;
@@ -143,22 +142,22 @@ impl Alternation<'_> {
     fn coarsen<E: From<OptimizeError>>(
         &mut self,
         mesh: &mut EditMesh,
-        cut: Option<(&Patches, Vec<usize>)>,
+        cut: Option<&Patches>,
         show: &mut Shower<'_, E>,
         on: &mut Listener<'_>,
     ) -> Result<(), Halt<E>> {
         let mut objective = show(self.some_set(), mesh).map_err(Halt::Fault)?;
-        let Some((patches, targets)) = cut else {
-            return self.collapse_to(mesh, self.n_faces, &mut objective, on);
+        let topology = self.params.topology();
+        let Some(patches) = cut else {
+            return self.collapse_to(mesh, (self.n_faces, topology), &mut objective, on);
         };
-        let surpluses = patches
-            .sizes(mesh)
-            .into_iter()
-            .zip(targets)
-            .map(|(n, target)| n.saturating_sub(target));
+        let sizes = patches.sizes(mesh).into_iter();
+        let surpluses = sizes.zip(&patches.targets).map(|(n, target)| n.saturating_sub(*target));
         for (patch, surplus) in surpluses.enumerate().filter(|(_, surplus)| *surplus > 0) {
             patches.lock(mesh, Some(patch));
-            self.collapse_to(mesh, mesh.n_faces() - surplus, &mut objective, on)?;
+            // A hole may be closed from two patches, of which one may go.
+            let target = (mesh.n_faces() - surplus, Topology::Preserve);
+            self.collapse_to(mesh, target, &mut objective, on)?;
         }
         patches.lock(mesh, None);
         Ok(())
@@ -168,11 +167,10 @@ impl Alternation<'_> {
     fn collapse_to<E: From<OptimizeError>>(
         &mut self,
         mesh: &mut EditMesh,
-        n_faces: usize,
+        (n_faces, topology): (usize, Topology),
         objective: &mut Objective,
         on: &mut Listener<'_>,
     ) -> Result<(), Halt<E>> {
-        let topology = self.params.topology();
         let params = simplify::Params {
             policy: Policy::Lazy,
             rules: Rules { topology, memoryless: memoryless::Params::default() },
@@ -236,8 +234,10 @@ fn refine(mesh: &mut EditMesh, worst: Worst<'_>, rng: &mut Rng) -> Vec<EditRecor
             continue;
         }
         let middle = 0.5 * (mesh.position(a) + mesh.position(b));
-        splits.extend(mesh.split(a, b, middle).map(EditRecord::Split));
-        faces.iter().for_each(|f| is_taken[f.index()] = true);
+        if let Some(split) = mesh.split(a, b, middle) {
+            splits.push(EditRecord::Split(split));
+            faces.iter().for_each(|f| is_taken[f.index()] = true);
+        }
     }
     splits
 }

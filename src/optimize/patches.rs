@@ -5,12 +5,13 @@
 //! gained than lost. What is gained in one patch does not depend on another's luck. Beyond the paper.
 //!
 //! Invariants:
-//! 1. patches meet at vertices that stay where they are, whatever happens on either side;
-//! 2. no patch has more triangles at the end of a cycle than at its beginning, or it goes.
+//! 1. patches meet at vertices that stay as they are, place and attributes, whatever happens on either side (but
+//!    normals that follow from triangles on both sides, and what hides the other in a picture: pixels tell whose they are);
+//! 2. no patch has more triangles at the end of a cycle than it should, or it goes.
 //!
 //! Measured: see `cycle.rs`.
 
-use std::ops::ControlFlow;
+use std::ops::{ControlFlow, RangeInclusive};
 
 use crate::{
     mesh::{Edit, EditMesh, EditRecord, FaceId, Marks, Names, Step, VertexId},
@@ -27,35 +28,38 @@ use super::{
     rng::Rng,
 };
 
-/// Vertices of a patch, those at its border included.
+/// Vertices of a patch, those at its border included, as long as there are not too many patches.
 const SIZE: usize = 25;
-/// Fewer patches than these are not worth while.
-const LEAST: usize = 4;
+/// Fewer patches are not worth while; each of more would have to look at the whole mesh.
+const N_PATCHES: RangeInclusive<usize> = 4..=64;
 
 /// What a tape is asked here (see `alternate.rs`).
-const CHANGES: Question = Question::of(8);
+const CHANGES: Question = Question::of(9);
 
 /// Which vertex and which triangle belongs to which patch; [`NOWHERE`]: it stays as it is.
 pub(super) struct Patches {
     of_vertices: Vec<u32>,
     of_faces: Vec<u32>,
     n: usize,
+    /// Triangles that each should have in the end.
+    pub targets: Vec<usize>,
 }
 
 impl Patches {
     /// Whether a mesh is large enough to be cut.
     pub fn are_worth_while(mesh: &EditMesh) -> bool {
-        mesh.n_vertices() >= LEAST * SIZE
+        mesh.n_vertices() >= N_PATCHES.start() * SIZE
     }
 
-    /// Cuts a mesh up at random: what is nearest, edge by edge, to one of some vertices belongs together.
-    pub fn random(mesh: &EditMesh, rng: &mut Rng) -> Self {
+    /// Cuts a mesh that is to have so many triangles up at random: what is nearest, edge by edge, to one of some vertices
+    /// belongs together. Components without such a vertex stay.
+    pub fn random(mesh: &EditMesh, n_faces: usize, rng: &mut Rng) -> Self {
         let vertices = (0..mesh.n_vertex_slots() as u32).map(VertexId);
         let used: Vec<VertexId> = vertices.filter(|v| mesh.is_used(*v)).collect();
         let mut cells = vec![NOWHERE; mesh.n_vertex_slots()];
         let mut n = 0;
         let mut seeds: Vec<VertexId> = Vec::new();
-        for _ in 0..used.len() / SIZE {
+        for _ in 0..(used.len() / SIZE).min(*N_PATCHES.end()) {
             let seed = used[rng.below(used.len())];
             if cells[seed.index()] == NOWHERE {
                 cells[seed.index()] = n;
@@ -64,20 +68,18 @@ impl Patches {
             }
         }
         grow(mesh, &mut cells, seeds);
-        // Components without a seed get one.
-        for v in &used {
-            if cells[v.index()] == NOWHERE {
-                cells[v.index()] = n;
-                n += 1;
-                grow(mesh, &mut cells, vec![*v]);
-            }
-        }
-        Self::of_cells(mesh, &cells, n as usize)
+        let mut this = Self::of_cells(mesh, &cells, n as usize);
+        this.targets = this.sizes(mesh);
+        // At borders a triangle may be lost that is to be had again.
+        let n_missing = n_faces.saturating_sub(mesh.n_faces());
+        this.targets.iter_mut().take(n_missing).for_each(|target| *target += 1);
+        this
     }
 
     /// Without the vertices at which cells meet, and those that are locked.
     fn of_cells(mesh: &EditMesh, cells: &[u32], n: usize) -> Self {
-        let mut this = Self { of_vertices: cells.to_vec(), of_faces: Vec::new(), n };
+        let mut this =
+            Self { of_vertices: cells.to_vec(), of_faces: Vec::new(), n, targets: Vec::new() };
         let mut ring = Vec::new();
         for v in (0..cells.len() as u32).map(VertexId) {
             mesh.neighbours(v, &mut ring);
@@ -142,7 +144,8 @@ impl Patches {
     pub fn lock(&self, mesh: &mut EditMesh, all_but: Option<usize>) {
         let is_locked =
             |patch: &u32| *patch == NOWHERE || all_but.is_some_and(|one| one != *patch as usize);
-        let locked = self.of_vertices.iter().map(is_locked).collect();
+        let n_vertices = mesh.n_vertex_slots();
+        let locked = self.of_vertices.iter().take(n_vertices).map(is_locked).collect();
         let weights = mesh.marks().weights.clone();
         mesh.mark(Marks { locked, weights });
     }
@@ -182,7 +185,7 @@ impl Alternation<'_> {
         let n_looks = 2 * self.sets.len();
         let end = end.saturating_sub(descent::cost_of_looks(mesh, n_looks));
         let mut rng = Rng::new(!self.params.seed ^ self.outcome.evaluations);
-        let mut patches = Patches::random(mesh, &mut rng);
+        let mut patches = Patches::random(mesh, self.n_faces, &mut rng);
         let mut copy = mesh.clone();
         patches.lock(&mut copy, None);
         let mut edits = Vec::new();
@@ -206,7 +209,7 @@ impl Alternation<'_> {
 
     /// Which patches look better in all view sets together.
     fn better(&mut self, mesh: &EditMesh, copy: &EditMesh, patches: &Patches) -> Vec<bool> {
-        let sizes = [mesh, copy].map(|mesh| patches.sizes(mesh));
+        let sizes = patches.sizes(copy);
         let changes = self.tape.known(CHANGES, || {
             let mut sums = vec![0.0; patches.n];
             for set in self.sets {
@@ -220,7 +223,7 @@ impl Alternation<'_> {
         });
         self.outcome.evaluations += descent::cost_of_looks(mesh, 2 * self.sets.len());
         let is_better = |p: usize| changes.get(p).is_some_and(|c| *c < 0.0);
-        (0..patches.n).map(|p| is_better(p) && sizes[1][p] <= sizes[0][p]).collect()
+        (0..patches.n).map(|p| is_better(p) && sizes[p] <= patches.targets[p]).collect()
     }
 }
 
@@ -232,13 +235,17 @@ fn repeat(
     is_wanted: &[bool],
 ) -> Vec<EditRecord> {
     let is_wanted = |patch: u32| is_wanted.get(patch as usize) == Some(&true);
-    let mut names = Names::default();
-    let mut done = Vec::new();
+    let (mut names, mut done) = (Names::default(), Vec::new());
+    // Collapses look at what is locked.
+    let locked = mesh.marks().locked.clone();
+    patches.lock(mesh, None);
     for edit in edits.iter().map(EditRecord::edit) {
         if patches.of_edit(edit).is_none_or(is_wanted) {
             done.extend(mesh.repeat(edit, &mut names, |face| is_wanted(patches.of_face(face))));
         }
     }
+    let weights = mesh.marks().weights.clone();
+    mesh.mark(Marks { locked, weights });
     done
 }
 
@@ -257,7 +264,7 @@ mod tests {
         };
         let mesh = EditMesh::new(shapes::torus(40, 24, 0.1)).unwrap().with_marks(marks);
         for seed in 0..20 {
-            let patches = Patches::random(&mesh, &mut Rng::new(seed));
+            let patches = Patches::random(&mesh, mesh.n_faces(), &mut Rng::new(seed));
             assert!((20..=n_vertices / SIZE).contains(&patches.n), "{}", patches.n);
             for f in mesh.faces() {
                 let of = |v: VertexId| patches.of_vertices[v.index()];
@@ -280,8 +287,10 @@ mod tests {
     #[test]
     fn what_is_split_belongs_to_the_patch() {
         let mut mesh = EditMesh::new(shapes::torus(40, 24, 0.1)).unwrap();
-        let mut patches = Patches::random(&mesh, &mut Rng::new(1));
+        let mut patches = Patches::random(&mesh, mesh.n_faces() + 3, &mut Rng::new(1));
         let before = patches.sizes(&mesh);
+        let gain = |(p, n): (usize, &usize)| patches.targets[p] - n;
+        assert_eq!(before.iter().enumerate().map(gain).sum::<usize>(), 3);
         let is_inside =
             |f: &FaceId| mesh.vertices_of(*f).iter().all(|v| patches.of_vertices[v.index()] == 5);
         let [a, b, _] = mesh.vertices_of(mesh.faces().find(is_inside).unwrap());

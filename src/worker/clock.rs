@@ -7,7 +7,7 @@ use std::{cell::Cell, time::Instant};
 
 use crate::tape::{Question, Tape};
 
-/// 0 to 5: `render/taped.rs`, `optimize/alternate.rs`; 7: `studio.rs`.
+/// 0 to 5 and 9: `render/taped.rs`, `optimize`; 7: `studio.rs`; 8: `memoryless/driver.rs`.
 const CLOCK: Question = Question::of(6);
 
 /// See the module.
