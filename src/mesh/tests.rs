@@ -158,6 +158,27 @@ fn a_swap_turns_the_diagonal_and_a_seam_forbids_it() {
 }
 
 #[test]
+fn a_collapse_onto_a_locked_vertex_leaves_its_values() {
+    let [keep, drop] = [VertexId(20), VertexId(21)];
+    for is_locked in [true, false] {
+        let locked = (0..96).map(|v| is_locked && v == keep.index()).collect();
+        let mesh = EditMesh::new(with_wedges(shapes::torus(12, 8, 0.1))).unwrap();
+        let mut mesh = mesh.with_marks(Marks { locked, ..Marks::default() });
+        let values = |mesh: &EditMesh, face: FaceId| {
+            let k = mesh.vertices_of(face).iter().position(|v| *v == keep)?;
+            let wedge = mesh.wedges_of(face)[k];
+            Some(mesh.mesh().layers.iter().map(|l| l.get(wedge).to_vec()).collect::<Vec<_>>())
+        };
+        let before: Vec<_> =
+            mesh.faces_around(keep).iter().map(|f| (*f, values(&mesh, *f))).collect();
+        mesh.collapse(keep, drop, mesh.position(keep));
+        mesh.validate().unwrap();
+        let stays = |(f, old): &(FaceId, _)| !mesh.is_alive(*f) || values(&mesh, *f) == *old;
+        assert_eq!(before.iter().all(stays), is_locked, "{is_locked}");
+    }
+}
+
+#[test]
 fn new_values_make_new_wedges_and_leave_the_old_ones() {
     let positions = vec![DVec3::ZERO, DVec3::X, DVec3::ONE, DVec3::Y];
     let square = Mesh::from_parts(positions, vec![[0, 1, 2], [0, 2, 3]]);
