@@ -106,6 +106,6 @@ mod tests {
         assert_eq!(nothing, [0.0; 3]);
         let apart: Vec<u32> = regions.iter().map(|r| if *r == 1 { 0 } else { NOWHERE }).collect();
         let one = changes_by_region(scenes.each_ref().map(|s| (s, &apart[..])), &reference, 1);
-        assert_eq!(one.len(), 1);
+        assert!(one[0] != 0.0, "{one:?}");
     }
 }
