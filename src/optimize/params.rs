@@ -44,7 +44,7 @@ pub struct Params {
     /// A split for which no collapse is cheap enough keeps, as in the paper, the cheapest one,
     /// though the energy rises; otherwise it is taken back.
     pub allows_uphill: bool,
-    /// Collapses may close triangular holes; otherwise they keep the topology.
+    /// Collapses may close triangular holes, and in cycles change the topology as they like; otherwise they keep it.
     pub closes_holes: bool,
     /// Vertex normals are unknowns too (only where the objective has normals of its own).
     pub optimizes_normals: bool,
@@ -58,6 +58,11 @@ impl Params {
     /// Which collapses are legal.
     pub fn topology(&self) -> Topology {
         if self.closes_holes { Topology::CloseHoles } else { Topology::Preserve }
+    }
+
+    /// Which are in the simplification that ends a cycle.
+    pub fn topology_of_cycles(&self) -> Topology {
+        if self.closes_holes { Topology::Free } else { Topology::Preserve }
     }
 }
 

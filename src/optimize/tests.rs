@@ -384,6 +384,27 @@ fn later_cycles_go_patch_by_patch_and_tell_what_they_keep() {
     assert!(n_better > 0, "no patch was better");
 }
 
+/// Where topology is kept, a part has four triangles at least.
+#[test]
+fn where_topology_is_free_cycles_take_away_what_nobody_sees() {
+    let (original, mut start) = models();
+    // In the tube, whose radius is about .4.
+    let middle = DVec3::X;
+    let small = shapes::octahedron();
+    let n_vertices = start.positions.len() as u32;
+    start.positions.extend(small.positions.iter().map(|p| middle + 0.1 * *p));
+    start.faces.extend(small.faces.iter().map(|face| face.map(|v| n_vertices + v)));
+    let pictures = pictures(&original, Shading::Flat);
+    let n_inside = [false, true].map(|closes_holes| {
+        let params = Params { closes_holes, ..budget(20_000) };
+        let ran = take_turns(&original, start.clone(), &pictures, &params, 4_000);
+        assert!(ran.replayed == ran.mesh);
+        let is_inside = |v: &u32| ran.mesh.positions[*v as usize].distance(middle) < 0.2;
+        ran.mesh.faces.iter().filter(|face| face.iter().all(is_inside)).count()
+    });
+    assert!(n_inside[0] >= 4 && n_inside[1] < 4, "{n_inside:?}");
+}
+
 #[test]
 fn a_cycle_that_does_not_help_leaves_no_trace() {
     let (original, simplified) = models();
