@@ -78,7 +78,7 @@ EXPERIMENTS = [
     ),
     # Until the energy is what the paper has: then the run-time pictures are all that counts.
     Experiment("bunny, memoryless", "stanford_bunny.glb", 1336, 2_000_000, MEMORYLESS, "58.8"),
-    Experiment("bunny, memoryless", "stanford_bunny.glb", 654, 1_000_000, MEMORYLESS, "59.7"),
+    Experiment("bunny, memoryless", "stanford_bunny.glb", 654, 1_500_000, MEMORYLESS, "59.7"),
     Experiment("bunny, image-driven", "stanford_bunny.glb", 1333, 1_000_000, (), "75"),
     Experiment(
         "bunny, clustered", "stanford_bunny.glb", 1600, 800_000, (*CLUSTER, *SMALL), "51.5"
