@@ -88,7 +88,7 @@ EXPERIMENTS = [
         "stanford_dragon.glb",
         8190,
         4_000_000,
-        NORMALS,
+        (*NORMALS, *SMALL),
         "33.5",
         smooth=True,
     ),
@@ -254,7 +254,7 @@ def page(
         "",
         "Written by `make results`. E is the sum of squared luminance differences on the 20 views "
         "that the run works with (of 256², of 512² where there are more than 1,500 triangles and no "
-        "figure of the paper for clustering to compare with); d2 is the root mean square difference on 24 views of "
+        "figure of the paper to compare with); d2 is the root mean square difference on 24 views of "
         "512² that it has not seen (0 to 255). Runs with an entry under *paper* were asked to stop at that "
         "energy (`--optimize-until`), which is Lindstrom & Turk's (2000, figures 23 to 25 and their "
         "text) and took them hours; they look at the run-time views alone, where the others look at "
