@@ -175,6 +175,7 @@ class Bench:
         picture = None if e.paper else f"results-{number}.png"
         if picture:
             smooth = ["--shading", "smooth"] if e.smooth else []
+            smooth += ["--stored-normals"] if "--optimize-normals" in e.flags else []
             sheet = self.out.parent / picture
             self.call("compare", model, start, end, "--no-distance", "--sheet", sheet, *smooth)
         return Row(
