@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use lookalike::{
-    compare::{self, Comparison, Look, SheetParams},
+    compare::{self, Comparison, SheetParams},
     io,
     jobs::spec::{Evaluate, Input, Metric, Shading, Spec},
     mesh::Mesh,
@@ -113,17 +113,19 @@ fn here(args: &CompareArgs) -> Result<Compared, Failure> {
     let reference = compare::Reference::new(&original, &params);
     let comparisons = simplified.iter().map(|mesh| reference.compare(mesh)).collect();
     let draws = args.sheet.is_some();
-    Ok((comparisons, draws.then(|| sheet(&original, &simplified, &params.look))))
+    Ok((comparisons, draws.then(|| sheet(&original, &simplified, &params))))
 }
 
 /// One mesh seen from many sides, or several from two.
-fn sheet(original: &Mesh, simplified: &[Mesh], look: &Look) -> Vec<u8> {
+fn sheet(original: &Mesh, simplified: &[Mesh], params: &compare::Params) -> Vec<u8> {
+    let like = |sheet: SheetParams| {
+        sheet.of_surface(&params.look).with_stored_normals(params.stored_normals)
+    };
     match simplified {
-        [one] => compare::sheet(original, one, &SheetParams::default().of_surface(look)),
+        [one] => compare::sheet(original, one, &like(SheetParams::default())),
         several => {
             let chain: Vec<&Mesh> = several.iter().collect();
-            let params = SheetParams::chain(compare::Axis::Y).of_surface(look);
-            compare::sheet_multi(original, &chain, &params)
+            compare::sheet_multi(original, &chain, &like(SheetParams::chain(compare::Axis::Y)))
         }
     }
 }

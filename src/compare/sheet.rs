@@ -72,6 +72,8 @@ pub struct SheetParams {
     pub tile: usize,
     /// How many times luminance differences are amplified.
     pub gain: f64,
+    /// In smooth shading, simplified meshes have the normals of their files (see [`super::Params`]).
+    pub stored_normals: bool,
 }
 
 /// Nine samples a pixel, drawn at the size of the sheet: a third of the work of the pictures that
@@ -90,6 +92,7 @@ impl Default for SheetParams {
             views: all_round_views(Axis::Y),
             tile: 384,
             gain: 4.0,
+            stored_normals: false,
         }
     }
 }
@@ -112,6 +115,21 @@ impl SheetParams {
         let Look { shading, appearance, hides_back_faces, .. } = *look;
         self.look = Look { shading, appearance, hides_back_faces, ..self.look };
         self
+    }
+
+    /// With the normals of simplified meshes' files, or without.
+    #[must_use]
+    pub fn with_stored_normals(self, stored_normals: bool) -> Self {
+        Self { stored_normals, ..self }
+    }
+
+    fn dressed<'m, const N: usize>(&self, drawable: Drawable<'m, N>) -> Drawable<'m, N> {
+        if self.stored_normals { drawable.with_stored_normals() } else { drawable }
+    }
+
+    /// As the original is drawn.
+    fn of_original(&self) -> Self {
+        self.clone().with_stored_normals(false)
     }
 }
 
@@ -142,14 +160,14 @@ pub fn try_sheet<E: Send>(
     tick: Tick<'_, E>,
 ) -> Result<Vec<u8>, E> {
     let half = |part: Part, share: f64| tick(part, share / 2.0);
-    let reference = Portraits::try_new(original, original, params, &half)?;
+    let reference = Portraits::try_new(original, original, &params.of_original(), &half)?;
     let portraits = Portraits::try_new(original, simplified, params, &half)?;
     Ok(sheet_against(&reference, &portraits, (original, simplified), params))
 }
 
 /// [`sheet`] for each level, in parallel; the original is drawn once.
 pub fn sheets(original: &Mesh, levels: &[&Mesh], params: &SheetParams) -> Vec<Vec<u8>> {
-    let reference = Portraits::new(original, original, params);
+    let reference = Portraits::new(original, original, &params.of_original());
     let draw = |mesh: &&Mesh| {
         let portraits = Portraits::new(original, mesh, params);
         sheet_against(&reference, &portraits, (original, mesh), params)
@@ -183,7 +201,7 @@ fn sheet_against(
 /// Draws a chain of levels: a column each, and for every view a row of pictures and a row of
 /// differences from the original; returns a PNG file.
 pub fn sheet_multi(original: &Mesh, levels: &[&Mesh], params: &SheetParams) -> Vec<u8> {
-    let reference = Portraits::new(original, original, params);
+    let reference = Portraits::new(original, original, &params.of_original());
     let all: Vec<Portraits> =
         levels.par_iter().map(|mesh| Portraits::new(original, mesh, params)).collect();
     let tile = params.tile.max(1);
@@ -234,9 +252,10 @@ impl Portraits {
         let n_passes = if has_colours { 2.0 } else { 1.0 };
         let tick = |share: f64| tick(Part::Sheet, share / n_passes);
         let coloured = has_colours
-            .then(|| pictures(&Drawable::display(mesh, look), &views, look, &tick))
+            .then(|| pictures(&params.dressed(Drawable::display(mesh, look)), &views, look, &tick))
             .transpose()?;
-        let luminance = pictures(&Drawable::luminance(mesh, look), &views, look, &tick)?;
+        let drawable = params.dressed(Drawable::luminance(mesh, look));
+        let luminance = pictures(&drawable, &views, look, &tick)?;
         Ok(Self { side: look.image_size.max(1), luminance, coloured })
     }
 

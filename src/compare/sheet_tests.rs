@@ -47,6 +47,27 @@ fn the_difference_of_equal_meshes_is_black() {
 }
 
 #[test]
+fn simplified_meshes_show_the_normals_of_their_files_where_these_are_asked_for() {
+    use crate::{
+        compare::raster::Shading,
+        mesh::{AttributeLayer, Semantic},
+    };
+    let mut mesh = tetrahedron(2.0);
+    mesh.face_wedges.clone_from(&mesh.faces);
+    let values = [0.0, 0.0, 1.0].repeat(mesh.positions.len());
+    mesh.layers = vec![AttributeLayer { semantic: Semantic::Normal, width: 3, values }];
+    for (shading, shows) in [(Shading::Smooth, true), (Shading::Flat, false)] {
+        let look = Look { shading, ..small().look };
+        let plain = SheetParams { look, ..small() };
+        let asked = plain.clone().with_stored_normals(true);
+        assert_eq!(sheet(&mesh, &mesh, &plain) != sheet(&mesh, &mesh, &asked), shows);
+        // The original is drawn as ever.
+        let [one, other] = [&plain, &asked.of_original()].map(|p| Portraits::new(&mesh, &mesh, p));
+        assert!(one.luminance == other.luminance);
+    }
+}
+
+#[test]
 fn the_chosen_axis_points_to_the_top() {
     let mesh = tetrahedron(2.0);
     for up in [Axis::X, Axis::Y, Axis::Z] {

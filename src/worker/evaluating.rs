@@ -87,7 +87,9 @@ pub(super) fn run(
         let params = params(evaluate);
         let reference = Reference::try_new(&original.mesh, &params, tick)?;
         let comparison = reference.try_compare(&simplified.mesh, tick)?;
-        let of_sheet = SheetParams::default().of_surface(&params.look);
+        let of_sheet = SheetParams::default()
+            .of_surface(&params.look)
+            .with_stored_normals(params.stored_normals);
         let sheet = compare::try_sheet(&original.mesh, &simplified.mesh, &of_sheet, tick)?;
         Ok((comparison, sheet))
     })?;

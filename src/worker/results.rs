@@ -277,12 +277,15 @@ fn write_pictures(
 ) -> Result<(), PipelineError> {
     let chain: Vec<&Mesh> = levels.in_order().map(|l| &l.mesh).collect();
     let drawn = look(spec, original);
-    let params = compare::SheetParams::default().of_surface(&drawn);
+    let has_normals = spec.optimize.normals;
+    let like =
+        |params: compare::SheetParams| params.of_surface(&drawn).with_stored_normals(has_normals);
+    let params = like(compare::SheetParams::default());
     let sheets = compare::sheets(original, &chain, &params);
     for (i, png) in sheets.iter().enumerate() {
         out.write(&format!("contact-{i}.png"), "image/png", png)?;
     }
-    let params = compare::SheetParams::chain(compare::Axis::Y).of_surface(&drawn);
+    let params = like(compare::SheetParams::chain(compare::Axis::Y));
     let png = compare::sheet_multi(original, &chain, &params);
     out.write("levels.png", "image/png", &png)
 }
