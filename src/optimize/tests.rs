@@ -25,6 +25,9 @@ use crate::{
     tape::{Answer, Tape},
 };
 
+const TURNS: Turns =
+    Turns { evaluations: 1_000, n_others: 1, n_looked_at: 4, steps: [12, 6, 12], cycle: 0 };
+
 /// A torus with bumps, and what 100 triangles are left of it.
 fn models() -> (Mesh, Mesh) {
     models_of(shapes::torus(24, 16, 0.2), 100)
@@ -374,8 +377,7 @@ fn later_cycles_go_patch_by_patch_and_tell_what_they_keep() {
         assert!((290..=300).contains(&ran.mesh.faces.len()), "{}", ran.mesh.faces.len());
         // Of the start, four cycles of the whole mesh, the others, the end.
         let energies: Vec<_> = ran.samples.iter().map(|s| s.energy).collect();
-        let later = &energies[4..energies.len() - 1];
-        n_better += later.windows(2).filter(|e| e[0] != e[1]).count();
+        n_better += energies[4..energies.len() - 1].windows(2).filter(|e| e[0] != e[1]).count();
         if seed == 0 {
             let again = run();
             assert!(ran.mesh == again.mesh && ran.samples == again.samples);
@@ -384,11 +386,10 @@ fn later_cycles_go_patch_by_patch_and_tell_what_they_keep() {
     assert!(n_better > 0, "no patch was better");
 }
 
-/// Where topology is kept, a part has four triangles at least.
+/// Where topology is kept, a part has four triangles at least; this one is in the tube, whose radius is about .4.
 #[test]
 fn where_topology_is_free_cycles_take_away_what_nobody_sees() {
     let (original, mut start) = models();
-    // In the tube, whose radius is about .4.
     let middle = DVec3::X;
     let small = shapes::octahedron();
     let n_vertices = start.positions.len() as u32;
@@ -432,13 +433,7 @@ fn what_is_told_is_what_was_done_wherever_the_caller_breaks_off() {
         let outcome = alternate::<OptimizeError>(
             &mut mesh,
             &budget(40_000),
-            Turns {
-                evaluations: 1_000,
-                n_others: 1,
-                n_looked_at: 2,
-                steps: [12, 6, 12],
-                cycle: 3_000,
-            },
+            Turns { n_looked_at: 2, cycle: 3_000, ..TURNS },
             (&sets, &Tape::off()),
             &mut |set, mesh| Ok(show(&original, &sets[set].pictures, mesh, false)),
             &mut |step| {
@@ -484,7 +479,7 @@ fn take_turns(
     let outcome = alternate::<OptimizeError>(
         &mut mesh,
         params,
-        Turns { evaluations: 1_000, n_others: 1, n_looked_at: 4, steps: [12, 6, 12], cycle },
+        Turns { cycle, ..TURNS },
         (&sets, &Tape::off()),
         &mut |set, mesh| {
             turns.push(set);
