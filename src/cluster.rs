@@ -2,13 +2,20 @@
 //! (Lindstrom & Turk 2000, section 7.3). A thin layer over meshoptimizer's "sloppy" simplification.
 //!
 //! Invariants:
-//! 1. the result has no degenerate triangle, no triangle twice, and at most the triangles asked for;
-//! 2. vertices are some of the original's, at their places in single precision's nearest cell.
+//! 1. the result has no degenerate triangle, none twice from the same side, and at most the triangles
+//!    asked for;
+//! 2. vertices are some of the original's, at their places in single precision's nearest cell; where
+//!    sheets meet, each has its own;
+//! 3. no edge has more than two triangles; what was closed is closed, and what became flat has two
+//!    sides, but where two triangles fall onto each other from the same side, which leave one.
 //!
-//! Topology is not kept: parts join, holes open. A vertex takes the attributes, and a triangle part
+//! Topology is not kept: parts join and come apart. A vertex takes the attributes, and a triangle part
 //! and material, of the first triangle of the original at the vertex (at its first vertex).
-
-use std::collections::BTreeSet;
+//!
+//! Measured, energy in percent of the start after 1,500,000 evaluations of optimization, the bunny in
+//! clusters, 1,433 to 1,471 triangles, topology free: one side of what is flat, sheets joined 26.4 (one
+//! run); of three seeds two sides 26.2; two sides and sheets cut apart 25.7 (where what lies between two
+//! triangles of a sheet is outside: 25.9).
 
 use crate::mesh::{FaceId, Mesh};
 
@@ -25,13 +32,7 @@ pub fn cluster(original: &Mesh, target: usize) -> Mesh {
         original.positions.iter().map(|p| (*p - low).as_vec3().to_array()).collect();
     let kept = meshopt::simplify_sloppy_decoder(&indices, &places, 3 * target, f32::MAX, None);
     let corners = first_corners(original);
-    let mut seen = BTreeSet::new();
-    let is_new = |face: &[u32; 3]| {
-        let mut key = *face;
-        key.sort_unstable();
-        key[0] != key[1] && key[1] != key[2] && seen.insert(key)
-    };
-    let faces: Vec<[u32; 3]> = kept.as_chunks::<3>().0.iter().copied().filter(is_new).collect();
+    let faces = kept.as_chunks::<3>().0.to_vec();
     let corner = |v: &u32| corners[*v as usize];
     let of_corners = |face: &[u32; 3]| face.map(|v| wedge(original, corner(&v)));
     let material = |face: &[u32; 3]| original.material_of(FaceId(corner(&face[0]).0));
@@ -52,7 +53,7 @@ pub fn cluster(original: &Mesh, target: usize) -> Mesh {
         images: original.images.clone(),
     };
     let all = (0..mesh.faces.len() as u32).map(FaceId).collect();
-    mesh.subset(all).mesh
+    mesh.subset(all).mesh.cut_into_sheets()
 }
 
 /// The first triangle at each vertex, and the vertex's corner in it.
@@ -72,8 +73,61 @@ fn wedge(mesh: &Mesh, (face, k): (u32, usize)) -> u32 {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
+    use glam::DVec3;
+
     use super::*;
     use crate::mesh::{AttributeLayer, EditMesh, Semantic, shapes};
+
+    /// How many triangles have each edge in either direction.
+    fn of_each_edge(mesh: &Mesh) -> BTreeMap<[u32; 2], [u32; 2]> {
+        let mut edges = BTreeMap::new();
+        for [a, b, c] in mesh.faces.iter().copied() {
+            for [from, to] in [[a, b], [b, c], [c, a]] {
+                let sides: &mut [u32; 2] = edges.entry([from.min(to), from.max(to)]).or_default();
+                sides[usize::from(from > to)] += 1;
+            }
+        }
+        edges
+    }
+
+    /// A box with the connectivity of a sphere, fine, between two corners.
+    fn fine_box([low, high]: [DVec3; 2]) -> Mesh {
+        let mut mesh = shapes::sphere(4);
+        for p in &mut mesh.positions {
+            let share = (*p / p.abs().max_element() + 1.0) * 0.5;
+            *p = low + share * (high - low);
+        }
+        mesh
+    }
+
+    #[test]
+    fn what_gets_flat_keeps_two_sides_and_what_touches_stays_apart() {
+        let at = DVec3::new;
+        // Two that have less than a cell between them, and one that is thinner than a cell.
+        let boxes = [
+            [DVec3::ZERO, DVec3::ONE],
+            [at(1.02, 0.0, 0.0), at(2.0, 1.0, 1.0)],
+            [at(0.3, 0.3, 1.0), at(0.7, 0.305, 1.6)],
+        ];
+        let mut original = Mesh::default();
+        for part in boxes.map(fine_box) {
+            let first = original.positions.len() as u32;
+            original.positions.extend(part.positions);
+            original.faces.extend(part.faces.iter().map(|f| f.map(|v| v + first)));
+        }
+        let crude = cluster(&original, 600);
+        assert!(of_each_edge(&crude).values().all(|sides| *sides == [1, 1]));
+        let place = |v: u32| crude.positions[v as usize].to_array().map(f64::to_bits);
+        let mut sides: Vec<_> = crude.faces.iter().map(|f| f.map(place)).collect();
+        sides.iter_mut().for_each(|side| side.sort_unstable());
+        sides.sort_unstable();
+        assert!(sides.windows(2).any(|two| two[0] == two[1]), "both sides of the thin one");
+        let pair = sides.iter().flatten();
+        let n_places = pair.collect::<std::collections::BTreeSet<_>>().len();
+        assert!(crude.positions.len() > n_places, "some have one place and are two");
+    }
 
     #[test]
     fn a_torus_gets_coarse_and_stays_a_mesh() {
@@ -82,6 +136,10 @@ mod tests {
             let crude = cluster(&original, target);
             assert!(crude.faces.len() <= target && crude.faces.len() > target / 4, "{target}");
             assert!(crude.positions.iter().all(|p| original.positions.contains(p)));
+            let edges = of_each_edge(&crude);
+            assert!(edges.values().all(|[one, other]| one.max(other) == &1), "{target}");
+            let n_open = edges.values().filter(|sides| **sides != [1, 1]).count();
+            assert!(50 * n_open < edges.len(), "{target}: {n_open} of {}", edges.len());
             EditMesh::new(crude).unwrap().validate().unwrap();
         }
     }

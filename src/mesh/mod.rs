@@ -16,6 +16,7 @@ mod refine;
 mod repeat;
 mod revise;
 pub mod shapes;
+mod sheets;
 pub mod skin;
 mod snapshot;
 mod source;

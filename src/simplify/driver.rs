@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use crate::{
     memoryless::{self, may_collapse},
-    mesh::{EdgeId, EdgeTable, EditMesh, Sample, Stage, Step, VertexId},
+    mesh::{EdgeId, EdgeTable, EditMesh, Sample, Stage, Step, Topology, VertexId},
     metric::Objective,
     render::{Move, RenderError},
 };
@@ -251,9 +251,20 @@ impl<'a> Simplifier<'a> {
         }
         for candidate in found {
             let weight = self.mesh.weight_around(self.edges.ends(candidate.edge));
+            let weight = weight * self.per_triangle(candidate);
             self.queue.set(candidate.edge, weighed(candidate.delta, weight), standing);
             self.places[candidate.edge.index()] = candidate.to;
         }
+    }
+
+    /// By how much more a rise counts that takes fewer triangles away than two, or less for more of
+    /// them. Where topology is free; else nearly all collapses take two.
+    pub(super) fn per_triangle(&self, candidate: &Candidate) -> f64 {
+        if candidate.delta <= 0 || self.params.rules.topology != Topology::Free {
+            return 1.0;
+        }
+        let [a, b] = self.edges.ends(candidate.edge);
+        2.0 / self.mesh.edge_faces(a, b).len().max(1) as f64
     }
 
     /// Makes the next collapse in the pictures, which are ahead of the mesh then; or says why there

@@ -4,15 +4,15 @@ use std::ops::ControlFlow;
 
 use glam::DVec3;
 
-use super::{Outcome, Params, Policy, Rules, Simplifier, StoppedBy};
+use super::{Outcome, Params, Policy, Rules, Simplifier, StoppedBy, candidates::Candidate};
 use crate::{
     memoryless,
-    mesh::{EditMesh, Mesh, Step, Topology},
+    mesh::{EdgeTable, EditMesh, Mesh, Step, Topology, VertexId},
     metric::{
         Objective, Pictures, bounding_sphere, energy_of_d2, reference_pictures, scene_of_edit_mesh,
     },
     render::{
-        Evaluator, RenderParams, Shading, Twin,
+        RenderParams, Shading, Twin,
         view::{Projection, ViewParams, cameras, directions},
     },
 };
@@ -70,6 +70,26 @@ fn pictures(mesh: &Mesh, shading: Shading) -> Pictures {
     Pictures::of(mesh, params, cameras(&bounding_sphere(mesh), &view_params))
 }
 
+/// What shows a mesh beside the original.
+fn objective(pictures: &Pictures, original: &Mesh, mesh: &EditMesh) -> Objective {
+    let reference = reference_pictures(original, pictures);
+    let scene = scene_of_edit_mesh(mesh, pictures);
+    let twin = Twin::new(&scene, &reference);
+    Objective::new(mesh, &pictures.palette, scene, Box::new(twin))
+}
+
+fn params(policy: Policy, topology: Topology, ends: Ends) -> Params {
+    Params {
+        policy,
+        rules: Rules { topology, memoryless: memoryless::Params::default() },
+        batch: 8,
+        ahead: 4,
+        search_rounds: 2,
+        max_evaluations: ends.max_evaluations,
+        max_energy: ends.max_energy,
+    }
+}
+
 /// When a run ends.
 #[derive(Clone, Copy, Default)]
 struct Ends {
@@ -80,27 +100,15 @@ struct Ends {
 
 /// Returns the outcome, d2 in percent, evaluations and the mesh.
 fn run(policy: Policy, ends: Ends) -> (Outcome, f64, u64, Mesh) {
-    let Ends { target, max_evaluations, max_energy } = ends;
     let original = cube(6);
     let pictures = pictures(&original, Shading::Flat);
-    let reference = reference_pictures(&original, &pictures);
-    let mut mesh = EditMesh::new(original).unwrap();
-    let scene = scene_of_edit_mesh(&mesh, &pictures);
-    let twin = Twin::new(&scene, &reference);
-    let mut objective = Objective::new(&mesh, &pictures.palette, scene, Box::new(twin));
-    let params = Params {
-        policy,
-        rules: Rules { topology: Topology::Preserve, memoryless: memoryless::Params::default() },
-        batch: 8,
-        ahead: 4,
-        search_rounds: 2,
-        max_evaluations,
-        max_energy,
-    };
+    let mut mesh = EditMesh::new(original.clone()).unwrap();
+    let mut objective = objective(&pictures, &original, &mesh);
+    let params = params(policy, Topology::Preserve, ends);
     let mut edits = 0;
     let mut simplifier = Simplifier::new(&mut mesh, &mut objective, params);
     let outcome = simplifier
-        .run_to(target, &mut |step| {
+        .run_to(ends.target, &mut |step| {
             edits += u64::from(matches!(step, Step::Edit(_)));
             ControlFlow::Continue(())
         })
@@ -108,7 +116,7 @@ fn run(policy: Policy, ends: Ends) -> (Outcome, f64, u64, Mesh) {
     assert_eq!(edits, outcome.collapses);
     assert!(mesh.validate().is_ok());
     // The pictures show the mesh, whatever was tried last.
-    let shown = Twin::new(&scene_of_edit_mesh(&mesh, &pictures), &reference);
+    let shown = self::objective(&pictures, &original, &mesh);
     assert_eq!(objective.energy(), shown.energy());
     let d2 = objective.d2_percent();
     (outcome, d2, objective.evaluations(), mesh.snapshot())
@@ -156,4 +164,26 @@ fn no_collapse_lifts_the_energy_above_what_is_allowed() {
             assert!(d2 > percent, "{policy:?}: {d2}% of {percent}% and one more");
         }
     }
+}
+
+#[test]
+fn where_topology_is_free_a_rise_is_for_each_triangle_that_goes() {
+    // Three triangles at the edge (0, 1).
+    let positions = [DVec3::ZERO, DVec3::X, DVec3::Y, -DVec3::Y, DVec3::Z];
+    let original = Mesh::from_parts(positions.to_vec(), vec![[0, 1, 2], [1, 0, 3], [0, 1, 4]]);
+    let shown = pictures(&original, Shading::Flat);
+    let check = |topology, ends: [u32; 2], delta, expected: f64| {
+        let mut mesh = EditMesh::new(original.clone()).unwrap();
+        let mut objective = objective(&shown, &original, &mesh);
+        let edge = EdgeTable::new(&mesh).find(VertexId(ends[0]), VertexId(ends[1])).unwrap();
+        let params = params(Policy::Lazy, topology, Ends::default());
+        let simplifier = Simplifier::new(&mut mesh, &mut objective, params);
+        let found = simplifier.per_triangle(&Candidate { edge, to: DVec3::ZERO, delta });
+        assert!((found - expected).abs() < 1e-15, "{topology:?} {ends:?}: {found}");
+    };
+    check(Topology::Free, [0, 1], 10, 2.0 / 3.0);
+    check(Topology::Free, [0, 2], 10, 2.0);
+    // What is won is won, whatever it takes away.
+    check(Topology::Free, [0, 2], -10, 1.0);
+    check(Topology::Preserve, [0, 2], 10, 1.0);
 }
