@@ -47,7 +47,8 @@ fn check(evaluate: Evaluate, params: &compare::Params, [original, simplified]: [
     let wanted = compare::compare(&a, &b, params);
     let json = String::from_utf8(done.files["comparison.json"].clone()).unwrap();
     assert_eq!(json, compare::json(&wanted).unwrap());
-    let of_sheet = SheetParams::default().of_surface(&params.look);
+    let of_sheet =
+        SheetParams::default().of_surface(&params.look).with_stored_normals(params.stored_normals);
     assert!(done.files["contact-0.png"] == compare::sheet(&a, &b, &of_sheet));
     assert_eq!(wanted.metro.is_some(), has_distance);
     assert!(wanted.d2_percent > 0.1 && wanted.per_view.len() == 24);
