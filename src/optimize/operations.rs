@@ -3,6 +3,8 @@
 //!
 //! An operation only proposes: the mesh is not touched here.
 
+use std::f64::consts::TAU;
+
 use glam::DVec3;
 
 use crate::{
@@ -13,6 +15,7 @@ use crate::{
 use super::{
     params::{Params, Solver},
     quadratic::Quadratic,
+    rng::Rng,
     simplex::{Simplex, Stop},
     trial::{Search, Trial},
 };
@@ -316,7 +319,27 @@ impl Proposer<'_> {
         };
         let places = free.iter().enumerate().flat_map(|f| [of(f); 3]);
         let normals = free.iter().filter(|_| has_normals);
-        places.chain(normals.flat_map(|f| [self.normal_step(f); 3])).collect()
+        let shrinkage = self.shrinkage(free);
+        let all = places.chain(normals.flat_map(|f| [self.normal_step(f); 3]));
+        all.map(|step| shrinkage * step).collect()
+    }
+
+    /// By how much the first steps are shorter than usual.
+    fn shrinkage(&self, free: &[Free]) -> f64 {
+        match (self.params.solver, free.first()) {
+            (Solver::Quadratic, Some(f)) => {
+                let [_, share] = self.chance(f.vertex);
+                (-self.params.step_bits * share).exp2()
+            }
+            _ => 1.0,
+        }
+    }
+
+    /// Two numbers from 0 to 1 that are a vertex's until something else was evaluated.
+    fn chance(&self, v: VertexId) -> [f64; 2] {
+        let seed = self.params.seed ^ self.objective.evaluations() << 32 ^ u64::from(v.0);
+        let mut rng = Rng::new(seed);
+        [rng.share(), rng.share()]
     }
 
     /// A share of the mean difference to the neighbours' normals.
@@ -349,7 +372,12 @@ impl Proposer<'_> {
             return DVec3::AXES;
         }
         let (tangent, bitangent) = normal.any_orthonormal_pair();
-        [normal, tangent, bitangent]
+        if self.params.step_bits == 0.0 {
+            return [normal, tangent, bitangent];
+        }
+        let [share, _] = self.chance(v);
+        let (sin, cos) = (TAU * share).sin_cos();
+        [normal, cos * tangent + sin * bitangent, cos * bitangent - sin * tangent]
     }
 }
 

@@ -30,6 +30,9 @@ pub struct Params {
     /// A simplex asks for reflection, expansion and contraction at once: fewer rounds, more
     /// evaluations. A constant of the algorithm, never of the device.
     pub is_speculative: bool,
+    /// First steps of a quadratic search are made smaller at random by up to so many bits, and its tangents turn at
+    /// random about the normal, so that what is tried again is tried differently; 0: neither.
+    pub step_bits: f64,
     /// Rounds of quadratic steps.
     pub quadratic_rounds: u32,
     /// Edges of an iteration (64: Lindstrom & Turk 2000, section 7.1.6).
@@ -76,6 +79,7 @@ impl Default for Params {
             solver: Solver::Quadratic,
             simplex_bits: 1,
             is_speculative: false,
+            step_bits: 0.0,
             quadratic_rounds: 1,
             edges_per_iteration: 64,
             has_sweeps: true,
