@@ -391,3 +391,46 @@ fn with(first: &[VertexId], others: &[VertexId]) -> Vec<VertexId> {
     }
     all
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        optimize::tests::{models, pictures, show},
+        render::Shading,
+    };
+
+    #[test]
+    fn random_searches_keep_the_normal_and_shrink_within_their_bits() {
+        let (original, simplified) = models();
+        let mesh = EditMesh::new(simplified).unwrap();
+        let objective = show(&original, &pictures(&original, Shading::Flat), &mesh, false);
+        let steps = vec![0.1; mesh.n_vertex_slots()];
+        let search = |step_bits: f64, v: VertexId| {
+            let params = Params { step_bits, ..Params::default() };
+            let (mesh, objective) = (&mesh, &objective);
+            let proposer = Proposer { mesh, objective, params: &params, steps: &steps };
+            let no_op = Operation { kind: Kind::NoOp, level: 0 };
+            let trial = proposer.propose(no_op, [v, v], None).unwrap().trial;
+            let Search::Quadratic(probes) = &trial.search else { panic!("{:?}", trial.search) };
+            (trial.frames[0], probes.asks()[0][0])
+        };
+        let vertices = (0..mesh.n_vertex_slots() as u32).map(VertexId);
+        let mut shares = Vec::new();
+        for v in vertices.filter(|v| mesh.is_used(*v)) {
+            let (usual, step) = search(0.0, v);
+            assert_eq!(search(0.0, v), (usual, step));
+            let (frame, finer) = search(3.0, v);
+            assert_eq!(search(3.0, v), (frame, finer), "the same as long as nothing was evaluated");
+            assert_eq!(frame[0], usual[0]);
+            assert!(frame[1] != usual[1], "{v:?}");
+            assert!((frame[1].cross(frame[2]) - frame[0]).length() < 1e-12, "{frame:?}");
+            assert!((0.125..=1.0).contains(&(finer / step)), "{finer} of {step}");
+            shares.push(finer / step);
+        }
+        shares.sort_by(f64::total_cmp);
+        // 2⁻³ᵘ, u even: half of them are below 2⁻¹·⁵.
+        let median = shares[shares.len() / 2];
+        assert!((0.25..0.5).contains(&median), "{median} of {}", shares.len());
+    }
+}

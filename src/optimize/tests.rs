@@ -29,7 +29,7 @@ const TURNS: Turns =
     Turns { evaluations: 1_000, n_others: 1, n_looked_at: 4, steps: [12, 6, 12], cycle: 0 };
 
 /// A torus with bumps, and what 100 triangles are left of it.
-fn models() -> (Mesh, Mesh) {
+pub fn models() -> (Mesh, Mesh) {
     models_of(shapes::torus(24, 16, 0.2), 100)
 }
 
@@ -67,7 +67,7 @@ fn coloured(mesh: Mesh) -> Mesh {
     with_layer(mesh, Semantic::Color(0), 4, |x| 0.5 + 0.2 * libm::sin(3.0 * x))
 }
 
-fn pictures(original: &Mesh, shading: Shading) -> Pictures {
+pub fn pictures(original: &Mesh, shading: Shading) -> Pictures {
     pictures_of(original, shading, 64)
 }
 
@@ -89,7 +89,7 @@ fn pictures_of(original: &Mesh, shading: Shading, image_size: u32) -> Pictures {
     Pictures::of(original, params, cameras(&bounding_sphere(original), &view_params))
 }
 
-fn show(original: &Mesh, pictures: &Pictures, mesh: &EditMesh, has_normals: bool) -> Objective {
+pub fn show(original: &Mesh, pictures: &Pictures, mesh: &EditMesh, has_normals: bool) -> Objective {
     let reference = reference_pictures(original, pictures);
     let scene = scene_as_drawn(mesh, pictures, has_normals);
     let twin = Twin::new(&scene, &reference);
