@@ -329,7 +329,7 @@ impl Proposer<'_> {
         match (self.params.solver, free.first()) {
             (Solver::Quadratic, Some(f)) => {
                 let [_, share] = self.chance(f.vertex);
-                (-self.params.step_bits * share).exp2()
+                libm::exp2(-self.params.step_bits * share)
             }
             _ => 1.0,
         }
@@ -376,7 +376,7 @@ impl Proposer<'_> {
             return [normal, tangent, bitangent];
         }
         let [share, _] = self.chance(v);
-        let (sin, cos) = (TAU * share).sin_cos();
+        let (sin, cos) = libm::sincos(TAU * share);
         [normal, cos * tangent + sin * bitangent, cos * bitangent - sin * tangent]
     }
 }
