@@ -128,7 +128,8 @@ fn watched<T: Send>(
     work: impl FnOnce(Tick<'_, Stopped>) -> Result<T, Stopped> + Send,
 ) -> Result<T, PipelineError> {
     let parts = PARTS.iter().map(|(part, share)| (part.name(), *share)).collect();
-    let mut progress = Progress::of(parts, Instant::now());
+    let mut progress = Progress::of(parts);
+    progress.tell(Instant::now(), 0.0).map_or(Ok(()), &mut *tell)?;
     let (is_stopped, reached) = (AtomicBool::new(false), Mutex::new((Part::Pictures, 0.0)));
     let tick = |part: Part, share: f64| {
         let mut reached = reached.lock().unwrap_or_else(PoisonError::into_inner);

@@ -13,7 +13,7 @@ use crate::{
     mesh::Stage,
 };
 
-/// Progress is told this often at most.
+/// Progress is told at once, and then this often at most.
 const INTERVAL: Duration = Duration::from_millis(200);
 /// The estimate looks back over so many reports.
 const WINDOW: usize = 50;
@@ -33,24 +33,24 @@ const PARTS: [(Method, [(Stage, f64); 3]); 3] = [
 pub(super) struct Progress {
     parts: Vec<(&'static str, f64)>,
     stage: &'static str,
-    told: Instant,
+    told: Option<Instant>,
     history: VecDeque<(Instant, f64)>,
 }
 
 impl Progress {
-    /// Of a job that begins now.
-    pub fn new(spec: &Spec, now: Instant) -> Self {
+    /// Of a job that begins.
+    pub fn new(spec: &Spec) -> Self {
         let method = if spec.simplified.is_some() { Method::Cluster } else { spec.method };
         let row = PARTS.iter().find(|row| row.0 == method);
         let occurs = |p: &(Stage, f64)| p.0 != Stage::Optimize || spec.optimizes();
         let parts = row.into_iter().flat_map(|row| row.1).filter(occurs);
-        Self::of(parts.map(|(stage, part)| (stage.name(), part)).collect(), now)
+        Self::of(parts.map(|(stage, part)| (stage.name(), part)).collect())
     }
 
-    /// Of a job that begins now, with stages of its own and the parts of its time that they take.
-    pub fn of(parts: Vec<(&'static str, f64)>, now: Instant) -> Self {
+    /// Of a job that begins, with stages of its own and the parts of its time that they take.
+    pub fn of(parts: Vec<(&'static str, f64)>) -> Self {
         let stage = parts.first().map_or("", |p| p.0);
-        Self { parts, stage, told: now, history: VecDeque::new() }
+        Self { parts, stage, told: None, history: VecDeque::new() }
     }
 
     /// A stage begins, or goes on.
@@ -60,10 +60,10 @@ impl Progress {
 
     /// What to tell, unless something was told a moment ago. `done` of the stage, 0 to 1.
     pub fn tell(&mut self, now: Instant, done: f64) -> Option<Report> {
-        if now.duration_since(self.told) < INTERVAL {
+        if self.told.is_some_and(|told| now.duration_since(told) < INTERVAL) {
             return None;
         }
-        self.told = now;
+        self.told = Some(now);
         let fraction = self.fraction(done.clamp(0.0, 1.0));
         let eta_secs = self.estimate(now, fraction);
         Some(Report::Progress { stage: self.stage.into(), fraction, eta_secs })
@@ -95,9 +95,8 @@ mod tests {
 
     #[test]
     fn stages_follow_each_other_without_a_gap() {
-        let start = Instant::now();
         for method in [Method::Image, Method::Memoryless, Method::Cluster] {
-            let mut progress = Progress::new(&Spec { method, ..Spec::new(vec![9]) }, start);
+            let mut progress = Progress::new(&Spec { method, ..Spec::new(vec![9]) });
             let mut last = BEFORE;
             for stage in progress.parts.clone() {
                 progress.enter(stage.0);
@@ -111,11 +110,11 @@ mod tests {
     #[test]
     fn reports_are_rare_and_estimate_from_the_second_on() {
         let start = Instant::now();
-        let mut progress = Progress::new(&Spec::new(vec![9]), start);
+        let mut progress = Progress::new(&Spec::new(vec![9]));
+        assert!(progress.tell(start, 0.1).is_some());
         assert!(progress.tell(start + INTERVAL / 2, 0.1).is_none());
-        assert!(progress.tell(start + INTERVAL, 0.1).is_some());
         let Some(Report::Progress { eta_secs, fraction, .. }) =
-            progress.tell(start + 2 * INTERVAL, 0.2)
+            progress.tell(start + INTERVAL, 0.2)
         else {
             panic!("it is time");
         };

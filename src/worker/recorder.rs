@@ -72,7 +72,7 @@ impl<'a> Recorder<'a> {
             samples: Vec::new(),
             is_cancelled: false,
             is_out_of_time: false,
-            progress: Progress::new(spec, Instant::now()),
+            progress: Progress::new(spec),
             stage_span: (0, 0),
             n_faces: base.faces.len(),
             branch: None,
