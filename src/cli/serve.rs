@@ -32,6 +32,8 @@ use crate::config::{Port, ServeArgs, ServeConfig};
 const SWEEP: Duration = Duration::from_secs(1);
 /// Results whose time is up are looked for this often.
 const TIDY: Duration = Duration::from_secs(60);
+/// What nobody wants is looked for this often, and at the start.
+const TIDY_ORPHANS: Duration = Duration::from_hours(1);
 /// What open calls get to finish once the workers have ended.
 const GRACE: Duration = Duration::from_secs(3);
 /// What a collector gets to take the last spans.
@@ -171,9 +173,10 @@ async fn sweep(
     }
 }
 
-/// Removes results and jobs whose time is up, and what is left of checkpoints, until the end.
+/// Removes results and jobs whose time is up, what is left of checkpoints, and what nobody wants, until the end.
 async fn tidy(jobs: &Jobs, stop: &CancellationToken) -> anyhow::Result<()> {
     let mut tick = tokio::time::interval(TIDY);
+    let mut rarely = tokio::time::interval(TIDY_ORPHANS);
     loop {
         tokio::select! {
             _ = tick.tick() => {
@@ -191,6 +194,12 @@ async fn tidy(jobs: &Jobs, stop: &CancellationToken) -> anyhow::Result<()> {
                     tracing::error!(%error, "checkpoints of ended jobs cannot be removed");
                 }
             }
+            _ = rarely.tick() => tokio::select! {
+                swept = jobs.sweep_orphans() => if let Err(error) = swept {
+                    tracing::error!(%error, "what nobody wants cannot be removed");
+                },
+                () = stop.cancelled() => return Ok(()),
+            },
             () = stop.cancelled() => return Ok(()),
         }
     }

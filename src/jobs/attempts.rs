@@ -194,15 +194,23 @@ impl Jobs {
         Ok(())
     }
 
-    /// Ends the attempt.
-    pub async fn complete(&self, lease: &Lease, outcome: &Outcome) -> Result<Job> {
-        let job = self.0.store.complete(lease, outcome, self.0.terms.max_lost).await?;
+    /// Ends the attempt; says whether this call did it, or one before whose answer was lost.
+    pub async fn complete(&self, lease: &Lease, outcome: &Outcome) -> Result<(Job, bool)> {
+        let (job, is_new) = self.0.store.complete(lease, outcome, self.0.terms.max_lost).await?;
         pass(Point::CompleteCommitted);
+        self.announce(std::slice::from_ref(&job));
+        // It has ended, whatever becomes of what is in nobody's way.
+        if let Err(error) = self.clear(&job).await {
+            tracing::error!(job = job.id, %error, "files of earlier attempts cannot be removed");
+        }
+        Ok((job, is_new))
+    }
+
+    /// Removes what earlier attempts left of a job that has ended.
+    async fn clear(&self, job: &Job) -> Result<()> {
         if job.state == State::Succeeded {
             self.0.blobs.remove_artifacts_before(&job.id, job.epoch).await?;
         }
-        self.forget_checkpoints(std::slice::from_ref(&job)).await?;
-        let mut jobs = self.announce(vec![job]);
-        jobs.pop().ok_or_else(|| Error::NotFound(format!("jobs/{}", lease.job)))
+        self.forget_checkpoints(std::slice::from_ref(job)).await
     }
 }

@@ -1,17 +1,26 @@
 //! What clients ask for: meshes in, jobs, artifacts out.
 
-use tokio::sync::mpsc;
+use std::time::Duration;
+
+use tokio::{
+    sync::mpsc,
+    time::{sleep, timeout},
+};
 use tokio_util::bytes::Bytes;
 
 use super::{
     Jobs,
-    blobs::{Blob, Upload, is_hash, is_safe_name},
+    blobs::{Blob, Staged, Upload, is_hash, is_safe_name},
     error::{Error, Result},
     labels,
     points::{Point, pass},
     spec::Fault,
     store::{Artifact, Filter, Job, NewJob},
 };
+
+/// The object store is asked so often, and so long each time, whether the bytes of a mesh are still there.
+const LOOKS: u32 = 5;
+pub(super) const LOOK: Duration = Duration::from_secs(2);
 
 /// A mesh that is on disk.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -100,33 +109,72 @@ impl Jobs {
         chunks: mpsc::Receiver<Bytes>,
     ) -> Result<StoredMesh> {
         let limit = self.0.limits.max_mesh_bytes;
-        let staged = match announced.upload_of(owner)? {
-            Some(upload) => self.0.blobs.go_on(upload, chunks, limit).await?,
-            None => self.0.blobs.stage(chunks, limit).await?,
+        let Some(upload) = announced.upload_of(owner)? else {
+            let staged = self.0.blobs.stage(chunks, limit).await?;
+            return self.keep_mesh(owner, &announced, staged).await;
         };
-        announced.check("the mesh", staged.size, &staged.hash)?;
+        let (jobs, owner) = (self.clone(), owner.to_owned());
+        // What is whole is kept, even when its sender has left by then. What has no name is not: its end looks like a
+        // stream that broke off.
+        let kept = self.0.keeping.spawn(async move {
+            let staged = jobs.0.blobs.go_on(upload, chunks, limit).await?;
+            jobs.keep_mesh(&owner, &announced, staged).await
+        });
+        kept.await?
+    }
+
+    /// Gives a mesh that is there as a whole its name, its row and its owner.
+    async fn keep_mesh(
+        &self,
+        owner: &str,
+        announced: &Announced,
+        staged: Staged,
+    ) -> Result<StoredMesh> {
         let (hash, size) = (staged.hash.clone(), staged.size);
+        let limit = self.0.limits.max_owner_bytes;
+        let allowed = match announced.check("the mesh", size, &hash) {
+            Ok(()) => self.0.store.check_room(owner, &hash, size, limit).await,
+            damaged => damaged,
+        };
+        if let Err(refusal) = allowed {
+            staged.discard();
+            return Err(refusal);
+        }
         pass(Point::UploadStaged);
         self.0.blobs.commit_mesh(staged).await?;
         pass(Point::UploadNamed);
-        let lock = self.0.store.lock_mesh(&hash).await?;
-        // Another server may have swept it before a row told of it.
-        if !self.0.blobs.has_mesh(&hash).await? {
-            let fault = "it was swept away on its way in".into();
-            return Err(Error::Corrupt { what: "the mesh".into(), fault });
-        }
-        lock.add(size).await?;
+        self.list_mesh(&hash, size).await?;
         pass(Point::UploadListed);
         // That somebody else has the same bytes is nobody's business.
-        let limit = self.0.limits.max_owner_bytes;
         let existed = !self.0.store.own_mesh(owner, &hash, size, limit).await?;
         pass(Point::UploadOwned);
         Ok(StoredMesh { hash, size, existed })
     }
 
+    /// Notes a mesh whose bytes have their name. Everybody's writes wait while a slow object store is asked, so it is not
+    /// asked for long.
+    async fn list_mesh(&self, hash: &str, size: u64) -> Result<()> {
+        for _ in 0..LOOKS {
+            let lock = self.0.store.lock_mesh(hash).await?;
+            match timeout(LOOK, self.0.blobs.has_mesh(hash)).await {
+                Ok(Ok(true)) => return lock.add(size).await.map(drop),
+                // Another server may have swept it before a row told of it.
+                Ok(Ok(false)) => {
+                    let fault = "it was swept away on its way in".into();
+                    return Err(Error::Corrupt { what: "the mesh".into(), fault });
+                }
+                Ok(Err(fault)) => return Err(fault),
+                Err(_) => {}
+            }
+            drop(lock);
+            sleep(LOOK).await;
+        }
+        Err(Error::UnderWay)
+    }
+
     /// How many of the first bytes of an upload of `owner` are held by this server.
-    pub fn held_of_upload(&self, owner: &str, upload: &str) -> u64 {
-        if is_safe_name(upload) { self.0.blobs.held(owner, upload) } else { 0 }
+    pub async fn held_of_upload(&self, owner: &str, upload: &str) -> Result<u64> {
+        if is_safe_name(upload) { self.0.blobs.held(owner, upload).await } else { Ok(0) }
     }
 
     /// Creates a job, unless the same request made it before. `faults` are those that the caller
@@ -276,11 +324,13 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn meshes_that_nobody_wants_go_at_a_start() {
+    async fn meshes_that_nobody_wants_go() {
         let dir = tempfile::tempdir().unwrap();
         let open = async |keep_meshes| {
             let limits = Limits { keep_meshes, ..Limits::default() };
-            Jobs::open(dir.path(), Terms::default(), limits).await.unwrap()
+            let jobs = Jobs::open(dir.path(), Terms::default(), limits).await.unwrap();
+            jobs.sweep_orphans().await.unwrap();
+            jobs
         };
         let put = async |jobs: &Jobs, bytes: &'static [u8]| {
             let (send, chunks) = mpsc::channel(1);

@@ -70,6 +70,9 @@ pub enum Error {
         /// Bytes held.
         held: u64,
     },
+    /// All bytes of an upload came by another stream.
+    #[error("all bytes of this upload are here and are being stored: ask again in a moment")]
+    UnderWay,
     /// What arrived is not what was announced.
     #[error("{what}: {fault}; send it again")]
     Corrupt {
@@ -176,14 +179,16 @@ impl Quota {
     }
 }
 
-/// What a database says when it may answer later: SQLSTATE, or SQLite's code for a busy database.
+/// What a database says when it may answer later: SQLSTATE, or SQLite's code for a busy database, or for a disk that is
+/// full or fails.
 #[rustfmt::skip]
-const PASSING: [&str; 14] = [
+const PASSING: [&str; 17] = [
     // Serialization failure, deadlock, lock or statement timeout, idle transaction.
     "40001", "40P01", "55P03", "57014", "25P03",
     // Shutting down, crashed, starting up, a stand-by server, no room for connections.
     "57P01", "57P02", "57P03", "25006", "53300",
     "5", "261", "517", "773",
+    "13", "778", "1034",
 ];
 
 /// What it says when a transaction lost against another one: serialization failure, deadlock; a snapshot too old.
@@ -195,10 +200,22 @@ impl Error {
         match self {
             // Objects: after all attempts of their client.
             Self::Sql(sqlx::Error::Io(_) | sqlx::Error::PoolTimedOut)
-            | Self::Objects { source: object_store::Error::Generic { .. }, .. } => true,
+            | Self::Objects { source: object_store::Error::Generic { .. }, .. }
+            | Self::UnderWay => true,
             Self::Sql(sqlx::Error::Database(error)) => {
                 // Class 08: the connection.
                 error.code().is_some_and(|code| PASSING.contains(&&*code) || code.starts_with("08"))
+            }
+            _ => false,
+        }
+    }
+
+    /// An object is not where its row says.
+    pub fn is_missing(&self) -> bool {
+        match self {
+            Self::Io { source, .. } => source.kind() == io::ErrorKind::NotFound,
+            Self::Objects { source, .. } => {
+                matches!(source, object_store::Error::NotFound { .. })
             }
             _ => false,
         }
@@ -226,12 +243,12 @@ impl Error {
     }
 }
 
+/// Of many faults so many are told.
+pub const MOST_TOLD: usize = 64;
+
 fn list(faults: &[Fault]) -> String {
-    faults
-        .iter()
-        .map(|fault| format!("{}: {}", fault.field, fault.text))
-        .collect::<Vec<_>>()
-        .join("; ")
+    let told = faults.iter().take(MOST_TOLD);
+    told.map(|fault| format!("{}: {}", fault.field, fault.text)).collect::<Vec<_>>().join("; ")
 }
 
 /// Results of this module.

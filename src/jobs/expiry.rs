@@ -1,15 +1,22 @@
 //! Results have their time, and jobs with their logs have theirs: after it they are removed, unless they are pinned.
-//! Checkpoints end with their jobs.
+//! Checkpoints end with their jobs, and meshes some time after the last one that names them.
+
+use std::time::{Duration, SystemTime};
+
+use tokio::time::timeout;
 
 use super::{
     Jobs,
+    clients::LOOK,
     error::{Error, Result},
     points::{Point, pass},
     store::Job,
 };
 
-/// Jobs of one look.
+/// Jobs, or meshes, of one look.
 const AT_ONCE: u32 = 100;
+/// A mesh without a row is an orphan when it was written so long ago.
+const ORPHANS_STAY: Duration = Duration::from_hours(1);
 
 impl Jobs {
     /// Keeps the results of a job beyond their time, or no longer so.
@@ -31,6 +38,48 @@ impl Jobs {
     pub async fn sweep_checkpoints(&self) -> Result<()> {
         for (id, epoch) in self.0.store.useless_checkpoints(AT_ONCE).await? {
             self.forget_checkpoint(&id, epoch).await?;
+        }
+        Ok(())
+    }
+
+    /// Removes meshes that nobody wants, the objects of jobs that are no more, uploads that broke off long ago, and old
+    /// entries of the audit table. To be called now and then; other servers, and this one, may be at work: a job has its
+    /// row before it has objects, and meshes without a row are left alone while they may be on their way to one.
+    pub async fn sweep_orphans(&self) -> Result<()> {
+        self.0.store.forget_audit(self.0.limits.keep_audit).await?;
+        self.0.store.forget_workers().await?;
+        self.0.blobs.sweep_uploads().await?;
+        loop {
+            let unused = self.0.store.forget_meshes(self.0.limits.keep_meshes, AT_ONCE).await?;
+            pass(Point::MeshesForgotten);
+            self.remove_unlisted(&unused).await?;
+            if unused.len() < AT_ONCE as usize {
+                break;
+            }
+        }
+        let old = SystemTime::now() - ORPHANS_STAY;
+        let meshes = self.0.blobs.meshes().await?.into_iter();
+        for hash in meshes.filter(|(_, written)| *written < old).map(|(hash, _)| hash) {
+            if self.0.store.mesh_size(&hash).await?.is_none() {
+                self.remove_unlisted(&[hash]).await?;
+            }
+        }
+        for id in self.0.blobs.jobs().await? {
+            if !self.0.store.exists(&id).await? {
+                self.0.blobs.remove_job(&id).await?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Removes the bytes of meshes, unless they have got a row.
+    async fn remove_unlisted(&self, hashes: &[String]) -> Result<()> {
+        for hash in hashes {
+            let mut lock = self.0.store.lock_mesh(hash).await?;
+            if !lock.is_stored().await? {
+                // What the object store does not do at once it is asked for the next time.
+                timeout(LOOK, self.0.blobs.remove_mesh(hash)).await.unwrap_or(Ok(()))?;
+            }
         }
         Ok(())
     }

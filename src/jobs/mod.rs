@@ -47,16 +47,16 @@ use std::{
     fs::{self, File, TryLockError},
     path::{Path, PathBuf},
     sync::{Arc, Mutex, MutexGuard, PoisonError},
-    time::{Duration, SystemTime},
+    time::Duration,
 };
 
-use tokio::task::JoinSet;
+use tokio::{task::JoinSet, time::timeout};
+use tokio_util::task::TaskTracker;
 
 use self::{
     blobs::Blobs,
     error::{Error, Result},
     lease::{Loss, Terms},
-    points::{Point, pass},
     recent::Recent,
     signals::Signals,
     store::{Job, Store, StoredEvent},
@@ -109,8 +109,8 @@ impl Default for Limits {
 const CREATIONS_AT_ONCE: usize = 2;
 /// Of one reader's followers: fewer than there are connections for reading.
 const READS_AT_ONCE: usize = 3;
-/// A mesh without a row is an orphan when it was written so long ago.
-const ORPHANS_STAY: Duration = Duration::from_hours(1);
+/// Uploads that are whole get so long to be stored before a server ends.
+const LAST_UPLOADS: Duration = Duration::from_secs(10);
 
 /// A data directory and everything in it.
 #[derive(Clone, Debug)]
@@ -130,6 +130,8 @@ struct Inner {
     /// Pages of logs, and segments of records, that followers share.
     pages: Recent<[StoredEvent]>,
     unpacked: Recent<Vec<u8>>,
+    /// Uploads that are kept though their senders may have left.
+    keeping: TaskTracker,
     /// Jobs whose attempts were lost while nobody asked for them.
     lost: Mutex<Vec<Job>>,
     terms: Terms,
@@ -164,13 +166,13 @@ impl Jobs {
             readers: Turns::new(READS_AT_ONCE),
             pages: Recent::default(),
             unpacked: Recent::default(),
+            keeping: TaskTracker::new(),
             lost: Mutex::default(),
             terms,
             limits,
             workers,
             _lock: lock,
         }));
-        jobs.sweep_orphans().await?;
         jobs.recover().await?;
         Ok(jobs)
     }
@@ -197,6 +199,9 @@ impl Jobs {
 
     /// Finishes what is being written.
     pub async fn close(&self) {
+        self.0.keeping.close();
+        // What takes longer is gone on with after the next start.
+        let _ = timeout(LAST_UPLOADS, self.0.keeping.wait()).await;
         self.0.store.close().await;
     }
 
@@ -257,38 +262,10 @@ impl Jobs {
         Ok(())
     }
 
-    /// Removes the objects of jobs that are no more, and meshes that nobody wants. Other servers may
-    /// be at work: a job has its row before it has objects, and meshes without a row are left alone
-    /// while they may be on their way to one.
-    async fn sweep_orphans(&self) -> Result<()> {
-        self.0.store.forget_audit(self.0.limits.keep_audit).await?;
-        self.0.store.forget_workers().await?;
-        let mut unknown = self.0.store.forget_meshes(self.0.limits.keep_meshes).await?;
-        pass(Point::MeshesForgotten);
-        let old = SystemTime::now() - ORPHANS_STAY;
-        let meshes = self.0.blobs.meshes().await?.into_iter();
-        for hash in meshes.filter(|(_, written)| *written < old).map(|(hash, _)| hash) {
-            if self.0.store.mesh_size(&hash).await?.is_none() {
-                unknown.push(hash);
-            }
-        }
-        for hash in unknown {
-            let mut lock = self.0.store.lock_mesh(&hash).await?;
-            if !lock.is_stored().await? {
-                self.0.blobs.remove_mesh(&hash).await?;
-            }
-        }
-        for id in self.0.blobs.jobs().await? {
-            if !self.0.store.exists(&id).await? {
-                self.0.blobs.remove_job(&id).await?;
-            }
-        }
-        Ok(())
-    }
-
     async fn lose_worker(&self, worker: &str, loss: Loss) -> Result<Vec<Job>> {
         let lost = self.0.store.lose_worker(worker, loss, self.0.terms.max_lost).await?;
-        Ok(self.announce(lost))
+        self.announce(&lost);
+        Ok(lost)
     }
 
     fn lost(&self) -> MutexGuard<'_, Vec<Job>> {
@@ -297,7 +274,7 @@ impl Jobs {
 
     /// Keeps what was lost beside something else until [`Self::sweep_leases`] tells of it.
     fn note_lost(&self, jobs: Vec<Job>) {
-        let jobs = self.announce(jobs);
+        self.announce(&jobs);
         self.lost().extend(jobs);
     }
 
@@ -310,14 +287,13 @@ impl Jobs {
     }
 
     /// Wakes whoever waits for these jobs.
-    fn announce(&self, jobs: Vec<Job>) -> Vec<Job> {
-        for job in &jobs {
+    fn announce(&self, jobs: &[Job]) {
+        for job in jobs {
             self.0.signals.log_grew(&job.id);
             if job.state == state::State::Queued {
                 self.0.signals.queue_grew();
             }
         }
-        jobs
     }
 }
 

@@ -50,13 +50,19 @@ impl Desk<'_> {
     }
 
     /// How many of the first bytes of an upload are held by this server.
-    pub fn held_of_upload(&self, upload: &str) -> u64 {
-        self.jobs.held_of_upload(&self.who.owner, upload)
+    pub async fn held_of_upload(&self, upload: &str) -> Result<u64> {
+        self.jobs.held_of_upload(&self.who.owner, upload).await
     }
 
     /// Creates a job; `faults` are those that the caller found already.
     pub async fn create(&self, new: NewJob, mut faults: Vec<Fault>) -> Result<Job> {
-        self.check_bytes().await?;
+        if let Err(full) = self.check_bytes().await {
+            // Who did not hear the first answer hears it now.
+            let store = &self.jobs.0.store;
+            if !store.is_requested(&self.who.owner, &new.request_id).await? {
+                return Err(full);
+            }
+        }
         if new.priority > 0 && !self.who.role.may(Act::Manage) {
             let text = "only administrators may put a job before those of others: use 0 or less";
             faults.push(Fault { field: "priority".into(), text: text.into() });

@@ -94,11 +94,12 @@ impl v1::lookalike_service_server::LookalikeService for Api {
         let v1::QueryUploadRequest { mesh, upload_id } = request.into_inner();
         let desk = self.jobs.desk(&call.who);
         let known = desk.reuse_mesh(&convert::mesh_hash(&mesh)).await.map_err(|e| status_of(&e))?;
-        let (held, is_stored) = match known {
-            Some(mesh) => (mesh.size, true),
-            None => (desk.held_of_upload(&upload_id), false),
+        let held = match &known {
+            Some(mesh) => Ok(mesh.size),
+            None => desk.held_of_upload(&upload_id).await,
         };
-        Ok(Response::new(v1::QueryUploadResponse { held, is_stored }))
+        let held = held.map_err(|e| status_of(&e))?;
+        Ok(Response::new(v1::QueryUploadResponse { held, is_stored: known.is_some() }))
     }
 
     async fn create_job(

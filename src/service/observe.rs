@@ -7,7 +7,7 @@ mod queue;
 
 use std::{
     collections::BTreeMap,
-    sync::{Mutex, PoisonError},
+    sync::{Mutex, MutexGuard, PoisonError},
 };
 
 use futures::{Stream, TryStreamExt};
@@ -33,6 +33,35 @@ struct Heard {
     stage: String,
     evaluations: u64,
     seconds: f64,
+    /// The next totals include what was done before, which is counted already.
+    goes_on: bool,
+}
+
+/// What is counted of a report.
+#[derive(Clone, Debug)]
+pub enum Counted {
+    /// A point of the energy curve.
+    Sample(EnergySample),
+    /// Bytes of records.
+    Records(u64),
+    /// Who judges pictures.
+    Device(String),
+    /// Nothing.
+    Nothing,
+}
+
+impl Counted {
+    /// What is counted of this one.
+    pub fn of(report: &Report) -> Self {
+        match report {
+            Report::Sample(sample) => Self::Sample(sample.clone()),
+            Report::Records { bytes, .. } => Self::Records(bytes.len() as u64),
+            Report::Note { code, text } if code == "DEVICE_CHOSEN" => {
+                Self::Device(text.chars().take(64).collect())
+            }
+            _ => Self::Nothing,
+        }
+    }
 }
 
 /// Counts what workers report.
@@ -66,9 +95,15 @@ impl Observer {
         Self { traces, ..Self::default() }
     }
 
-    /// An attempt began.
-    pub fn claimed(&self) {
+    /// An attempt began, or goes on from a checkpoint of another one.
+    pub fn claimed(&self, lease: &Lease, goes_on: bool) {
         counter!("lookalike_claims_total").increment(1);
+        let heard = Heard { epoch: lease.epoch, goes_on, ..Heard::default() };
+        self.attempts().insert(lease.job.clone(), heard);
+    }
+
+    fn attempts(&self) -> MutexGuard<'_, BTreeMap<String, Heard>> {
+        self.attempts.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// A worker got no job for a fault of its own.
@@ -97,7 +132,7 @@ impl Observer {
 
     /// An attempt ended and its job is now as given.
     pub fn ended(&self, job: &Job) {
-        self.attempts.lock().unwrap_or_else(PoisonError::into_inner).remove(&job.id);
+        self.attempts().remove(&job.id);
         self.traces.ended(job);
         if let Some(loss) = job.loss {
             counter!("lookalike_lost_attempts_total", "reason" => loss.reason()).increment(1);
@@ -122,26 +157,29 @@ impl Observer {
         }
     }
 
-    /// A batch of reports came; `first` is the number of its first event in the attempt.
-    pub fn reported(&self, lease: &Lease, first: u64, reports: &[Report]) {
-        let mut attempts = self.attempts.lock().unwrap_or_else(PoisonError::into_inner);
+    /// A batch of reports was stored; `first` is the number of its first event in the attempt.
+    pub fn reported(&self, lease: &Lease, first: u64, reports: &[Counted]) {
+        let mut attempts = self.attempts();
         let heard = attempts.entry(lease.job.clone()).or_default();
-        if heard.epoch != lease.epoch {
-            *heard = Heard { epoch: lease.epoch, ..Heard::default() };
+        if heard.epoch < lease.epoch {
+            // Another server heard of it before, if this is not its beginning.
+            let goes_on = first > 0;
+            *heard = Heard { epoch: lease.epoch, n_events: first, goes_on, ..Heard::default() };
+        }
+        if heard.epoch > lease.epoch {
+            return;
         }
         let known = heard.n_events.saturating_sub(first) as usize;
         heard.n_events = heard.n_events.max(first + reports.len() as u64);
         for report in reports.iter().skip(known) {
             match report {
-                Report::Sample(sample) => heard.count(sample),
-                Report::Records { bytes, .. } => {
-                    received("records").increment(bytes.len() as u64);
-                }
-                Report::Note { code, text } if code == "DEVICE_CHOSEN" => {
-                    let device = text.chars().take(64).collect::<String>();
+                Counted::Sample(sample) => heard.count(sample),
+                Counted::Records(n_bytes) => received("records").increment(*n_bytes),
+                Counted::Device(device) => {
+                    let device = device.clone();
                     counter!("lookalike_device_attempts_total", "device" => device).increment(1);
                 }
-                _ => {}
+                Counted::Nothing => {}
             }
         }
     }
@@ -168,6 +206,9 @@ impl Heard {
             self.stage.clone_from(&sample.stage);
             self.evaluations = 0;
         }
+        if std::mem::take(&mut self.goes_on) {
+            (self.evaluations, self.seconds) = (sample.evaluations, sample.seconds);
+        }
         let n_evaluations = sample.evaluations.saturating_sub(self.evaluations);
         let seconds = (sample.seconds - self.seconds).max(0.0);
         let stage = || sample.stage.clone();
@@ -193,8 +234,8 @@ impl Heard {
 mod tests {
     use super::*;
 
-    fn sample(evaluations: u64, seconds: f64) -> Report {
-        Report::Sample(EnergySample {
+    fn sample(evaluations: u64, seconds: f64) -> Counted {
+        Counted::Sample(EnergySample {
             stage: "image".into(),
             evaluations,
             seconds,
@@ -215,6 +256,7 @@ mod tests {
         metrics::with_local_recorder(&recorder, || {
             let observer = Observer::new(JobTraces::default());
             let lease = Lease { job: "a".into(), epoch: 1, worker: "w".into() };
+            observer.claimed(&lease, false);
             observer.reported(&lease, 0, &[sample(100, 1.0), sample(300, 2.0)]);
             observer.reported(&lease, 0, &[sample(100, 1.0), sample(300, 2.0)]);
             observer.reported(&lease, 2, &[sample(400, 4.0)]);
@@ -223,5 +265,25 @@ mod tests {
         assert!(page.contains("lookalike_evaluations_total{stage=\"image\"} 400"), "{page}");
         assert!(page.contains("lookalike_stage_seconds{stage=\"image\"} 4"), "{page}");
         assert!(page.contains("lookalike_evaluations_per_second{stage=\"image\"} 50"), "{page}");
+    }
+
+    /// Totals go on where another attempt, or this server before its restart, has counted them.
+    #[test]
+    fn what_goes_on_counts_what_is_new() {
+        let recorder = metrics_exporter_prometheus::PrometheusBuilder::new().build_recorder();
+        let page = recorder.handle();
+        let lease = |epoch| Lease { job: "a".into(), epoch, worker: "w".into() };
+        metrics::with_local_recorder(&recorder, || {
+            let observer = Observer::new(JobTraces::default());
+            observer.reported(&lease(1), 7, &[sample(100, 1.0), sample(300, 2.0)]);
+            observer.claimed(&lease(2), true);
+            observer.reported(&lease(2), 0, &[sample(200, 1.5), sample(250, 2.0)]);
+            // It was frozen, and wakes up.
+            observer.reported(&lease(1), 9, &[sample(900, 9.0)]);
+            observer.reported(&lease(2), 2, &[sample(350, 3.0)]);
+        });
+        let page = page.render();
+        assert!(page.contains("lookalike_evaluations_total{stage=\"image\"} 350"), "{page}");
+        assert!(page.contains("lookalike_stage_seconds{stage=\"image\"} 2.5"), "{page}");
     }
 }

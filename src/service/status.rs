@@ -5,7 +5,10 @@ use std::{collections::HashMap, time::Duration};
 use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, FieldViolation, StatusExt};
 
-use crate::jobs::{error::Error, spec::Fault};
+use crate::jobs::{
+    error::{Error, MOST_TOLD},
+    spec::Fault,
+};
 
 /// Domain of every `ErrorInfo`.
 pub const DOMAIN: &str = "lookalike";
@@ -19,9 +22,10 @@ pub const OFFSET: &str = "OFFSET";
 pub const SHUTTING_DOWN: &str = "SHUTTING_DOWN";
 /// The database or the object store does not answer for now: try again in a moment.
 pub const AWAY: &str = "AWAY";
+/// The server cannot write or read its objects: its disk is full, or may not be written.
+pub const STORAGE: &str = "STORAGE";
 
 /// Statuses travel in HTTP/2 headers, which are capped at 16 KiB by most peers.
-const MAX_VIOLATIONS: usize = 64;
 const MAX_MESSAGE: usize = 1024;
 
 fn row(error: &Error) -> (Code, &'static str) {
@@ -38,11 +42,13 @@ fn row(error: &Error) -> (Code, &'static str) {
         Error::TooLarge { .. } => (Code::ResourceExhausted, "TOO_LARGE"),
         Error::QueueFull(_) => (Code::ResourceExhausted, "QUEUE_FULL"),
         Error::Quota { .. } => (Code::ResourceExhausted, "QUOTA"),
+        Error::UnderWay => (Code::Unavailable, AWAY),
         error if error.is_passing() => (Code::Unavailable, AWAY),
         Error::InUse(_) | Error::OtherObjects(_) => (Code::FailedPrecondition, "IN_USE"),
         Error::Sql(_) | Error::Migrate(_) | Error::Stored { .. } => (Code::Internal, "DATABASE"),
+        error if error.is_missing() => (Code::Internal, "MISSING"),
         Error::Io { .. } | Error::Objects { .. } | Error::PlainEndpoint(_) => {
-            (Code::Internal, "STORAGE")
+            (Code::Internal, STORAGE)
         }
         Error::Task(_) => (Code::Internal, "TASK"),
     }
@@ -56,7 +62,7 @@ pub fn status_of(error: &Error) -> Status {
     }
     let mut details = ErrorDetails::with_error_info(reason, DOMAIN, metadata_of(error));
     if let Error::Invalid(faults) = error {
-        let faults = faults.iter().take(MAX_VIOLATIONS);
+        let faults = faults.iter().take(MOST_TOLD);
         details.set_bad_request(faults.map(violation).collect::<Vec<_>>());
     }
     let must_wait =

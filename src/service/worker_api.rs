@@ -11,7 +11,7 @@ use super::{
     api::until,
     auth::call_of,
     convert,
-    observe::{self, Observer},
+    observe::{self, Counted, Observer},
     proto::worker::v1 as worker,
     status::{self, status_of},
     transfer,
@@ -61,7 +61,7 @@ impl worker::worker_service_server::WorkerService for WorkerApi {
         let pieces = self.jobs.resume(&lease, &request.build).await.map_err(|e| status_of(&e))?;
         let (attempt, epoch, n_pieces) = (job.attempt, job.epoch, pieces.len() as u32);
         tracing::info!(job = job.id, worker = request.worker, attempt, epoch, n_pieces, "claimed");
-        self.observer.claimed();
+        self.observer.claimed(&lease, n_pieces > 0);
         let assignment = Some(self.assignment(&job, n_pieces));
         Ok(Response::new(worker::ClaimResponse { assignment }))
     }
@@ -106,9 +106,10 @@ impl worker::worker_service_server::WorkerService for WorkerApi {
         let bodies: Option<Vec<_>> = request.events.into_iter().map(|event| event.body).collect();
         let bodies = bodies.ok_or_else(|| status::invalid("events", "one has no body"))?;
         let reports: Vec<_> = bodies.into_iter().map(convert::report_from_wire).collect();
-        self.observer.reported(&lease, request.first_index, &reports);
+        let counted: Vec<_> = reports.iter().map(Counted::of).collect();
         let appended = self.jobs.append(&lease, request.first_index, reports).await;
         let appended = appended.map_err(|e| status_of(&e))?;
+        self.observer.reported(&lease, request.first_index, &counted);
         Ok(Response::new(worker::AppendEventsResponse {
             appended: appended.held,
             cancel_requested: appended.orders.cancel,
@@ -191,9 +192,12 @@ impl worker::worker_service_server::WorkerService for WorkerApi {
         let lease = convert::lease_from_wire(request.lease)?;
         call.is_about(format!("jobs/{}", lease.job));
         let outcome = convert::outcome_from_wire(request.outcome)?;
-        let job = self.jobs.complete(&lease, &outcome).await.map_err(|e| status_of(&e))?;
-        tracing::info!(job = job.id, state = %job.state, ?outcome, "attempt ended");
-        self.observer.ended(&job);
+        let ended = self.jobs.complete(&lease, &outcome).await;
+        let (job, is_new) = ended.map_err(|e| status_of(&e))?;
+        if is_new {
+            tracing::info!(job = job.id, state = %job.state, ?outcome, "attempt ended");
+            self.observer.ended(&job);
+        }
         Ok(Response::new(worker::CompleteResponse {}))
     }
 

@@ -29,8 +29,15 @@ use crate::{
         spec::Spec,
         store::Outcome,
     },
-    service::{convert, proto::worker::v1::Assignment},
+    service::{
+        convert,
+        proto::worker::v1::Assignment,
+        status::{STORAGE, reason_of},
+    },
 };
+
+/// A server whose storage fails gets so long to be mended before the job is handed back.
+const FULL_PAUSE: Duration = Duration::from_secs(10);
 
 /// Why an attempt is stopped before its end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -87,6 +94,8 @@ pub struct Work {
     /// The right to do it.
     pub lease: Lease,
     spec: Spec,
+    /// Hash of the original.
+    mesh: String,
     file_name: String,
     heartbeat: Duration,
     /// Pieces of the checkpoint that it goes on from.
@@ -106,6 +115,7 @@ impl Work {
         faults.is_empty().then_some(Self {
             lease,
             spec,
+            mesh: convert::mesh_hash(&assignment.mesh),
             file_name: assignment.file_name,
             heartbeat,
             n_pieces: assignment.checkpoint_pieces,
@@ -124,9 +134,21 @@ pub async fn run(
     let (stop, stopped) = watch::channel(None);
     let (send, mut parcels) = mpsc::channel(AHEAD);
     let (lease, heartbeat) = (work.lease.clone(), work.heartbeat);
-    let input = tokio::select! {
-        input = fetch(link, &work) => input?,
+    let fetched = tokio::select! {
+        fetched = fetch(link, &work) => fetched,
         lost = keep_alive(link, &lease, heartbeat, &stop, drain) => return Err(lost),
+        reason = asked_to_stop(&stop) => {
+            let stopped = Err(Fault::Pipeline(PipelineError::Cancelled));
+            link.complete(&lease, outcome(stopped, Vec::new(), Some(reason))).await?;
+            return Ok(Ended::Ready);
+        }
+    };
+    let input = match fetched {
+        Ok(input) => input,
+        Err(error) => {
+            let alive = keep_alive(link, &lease, heartbeat, &stop, drain);
+            return fail(link, &lease, error, alive).await.map(|()| Ended::Ready);
+        }
     };
     let (folder, device, pipeline) =
         (config.scratch.clone(), config.device.clone(), config.pipeline);
@@ -175,7 +197,8 @@ pub async fn run(
             if !running.is_finished() {
                 let _ = running.await;
             }
-            fail(link, &lease, error).await.map(|()| Ended::Ready)
+            let alive = keep_alive(link, &lease, heartbeat, &stop, drain);
+            fail(link, &lease, error, alive).await.map(|()| Ended::Ready)
         }
     }
 }
@@ -205,6 +228,16 @@ async fn keep_alive(
     }
 }
 
+/// Returns when nothing needs to be done any more before the attempt can end.
+async fn asked_to_stop(stop: &watch::Sender<Option<Stop>>) -> Stop {
+    let mut stopped = stop.subscribe();
+    match stopped.wait_for(Option::is_some).await.map(|reason| *reason) {
+        Ok(Some(reason)) => reason,
+        // The sender is in the caller's hands: it is never gone.
+        _ => std::future::pending().await,
+    }
+}
+
 /// Returns when the attempt was to be handed back so long ago.
 async fn overdue(stop: &watch::Sender<Option<Stop>>, limit: Duration) -> &'static str {
     let hands_back = |reason: &Option<Stop>| matches!(reason, Some(Stop::Drain | Stop::Preempt));
@@ -217,10 +250,22 @@ async fn overdue(stop: &watch::Sender<Option<Stop>>, limit: Duration) -> &'stati
     "the worker did not stop in time"
 }
 
-/// After a call that the server refused: the attempt failed, if the server still listens.
-async fn fail(link: &Link, lease: &Lease, error: LinkError) -> Result<(), LinkError> {
+/// After a call that the server refused: the attempt failed, if the server still listens. That its disk is full is not
+/// held against the job, which goes back to the queue after a while.
+async fn fail(
+    link: &Link,
+    lease: &Lease,
+    error: LinkError,
+    alive: impl Future<Output = LinkError>,
+) -> Result<(), LinkError> {
     match error {
-        LinkError::Refused(_) | LinkError::File { .. } => {
+        LinkError::Refused(status) if reason_of(&status).as_deref() == Some(STORAGE) => {
+            tracing::error!(job = lease.job, reason = status.message(), "the server cannot store");
+            let _ = tokio::time::timeout(FULL_PAUSE, alive).await;
+            let text = format!("the server's storage failed: {}", status.message());
+            link.complete(lease, Outcome::Released(text)).await
+        }
+        LinkError::Refused(_) | LinkError::File { .. } | LinkError::Damaged(_) => {
             link.complete(lease, Outcome::AttemptFailed(error.to_string())).await
         }
         LinkError::Stale(_) | LinkError::Unreachable { .. } => Err(error),
@@ -247,7 +292,7 @@ struct Input {
 }
 
 async fn fetch(link: &Link, work: &Work) -> Result<Input, LinkError> {
-    let original = link.fetch_mesh(&work.lease, "").await?;
+    let original = link.fetch_mesh(&work.lease, &work.mesh).await?;
     let simplified = match &work.spec.simplified {
         Some(input) => Some(link.fetch_mesh(&work.lease, &input.mesh).await?),
         None => None,

@@ -20,6 +20,7 @@ use crate::{
         client::{Access, Backoff, BadTarget, Connection, connection, is_transient},
         convert,
         proto::worker::v1::{self as wire, worker_service_client::WorkerServiceClient},
+        server::MAX_MESSAGE_BYTES,
         status::{STALE_LEASE, reason_of},
     },
 };
@@ -57,6 +58,11 @@ pub enum LinkError {
         /// What the last attempt met.
         last: String,
     },
+    /// What came is not what its name says.
+    #[error(
+        "{0} is damaged in the server's store: upload the model again, and submit the job anew"
+    )]
+    Damaged(String),
     /// A file of the result cannot be read.
     #[error("{path}: {source}")]
     File {
@@ -70,7 +76,8 @@ pub enum LinkError {
 impl Link {
     /// Connects at the first call; gives a call up when there was no answer for `give_up`.
     pub fn new(url: &str, access: &Access, give_up: Duration) -> Result<Self, BadTarget> {
-        Ok(Self { client: WorkerServiceClient::new(connection(url, access)?), give_up })
+        let client = WorkerServiceClient::new(connection(url, access)?);
+        Ok(Self { client: client.max_decoding_message_size(MAX_MESSAGE_BYTES), give_up })
     }
 
     /// Asks once for a job, waiting a while for one to come.
@@ -106,10 +113,11 @@ impl Link {
         })
     }
 
-    /// The bytes of an input: of the mesh of that hash, or of the original where it is empty.
+    /// The bytes of an input, the mesh of that hash.
     pub async fn fetch_mesh(&self, lease: &Lease, hash: &str) -> Result<Vec<u8>, LinkError> {
-        let mesh = if hash.is_empty() { String::new() } else { convert::mesh_name(hash) };
-        let request = wire::FetchMeshRequest { lease: Some(convert::lease_to_wire(lease)), mesh };
+        let mesh = convert::mesh_name(hash);
+        let lease = Some(convert::lease_to_wire(lease));
+        let request = wire::FetchMeshRequest { lease, mesh: mesh.clone() };
         let call = |mut client: WorkerServiceClient<Connection>| {
             let request = request.clone();
             async move {
@@ -121,7 +129,11 @@ impl Link {
                 Ok(Response::new(bytes))
             }
         };
-        self.answered(TRANSFER, call).await
+        let bytes = self.answered(TRANSFER, call).await?;
+        if blake3::hash(&bytes).to_hex().as_str() != hash {
+            return Err(LinkError::Damaged(mesh));
+        }
+        Ok(bytes)
     }
 
     /// Sends a batch of events, the first of which is the attempt's number `first`.

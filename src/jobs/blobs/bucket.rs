@@ -126,6 +126,7 @@ impl Objects for Bucket {
                 let source = object_store::Error::Generic { store: "S3", source: source.into() };
                 return Err(Error::Objects { key, source });
             }
+            staged.discard();
             Ok(())
         })
     }

@@ -115,7 +115,7 @@ fn rename(mut staged: Staged, path: &Path) -> Result<()> {
     let folder = path.parent().unwrap_or(path);
     create_dirs(folder)?;
     fs::rename(&staged.path, path).map_err(Error::io(path))?;
-    staged.committed = true;
+    staged.stays = true;
     sync_dir(folder)
 }
 

@@ -151,8 +151,15 @@ impl Blobs {
     }
 
     /// How many of the first bytes of an upload of `owner` are held here.
-    pub fn held(&self, owner: &str, id: &str) -> u64 {
-        self.partials.held(owner, id)
+    pub async fn held(&self, owner: &str, id: &str) -> Result<u64> {
+        let (partials, owner, id) = (Arc::clone(&self.partials), owner.to_owned(), id.to_owned());
+        Ok(tokio::task::spawn_blocking(move || partials.held(&owner, &id)).await?)
+    }
+
+    /// Removes the uploads that broke off long ago.
+    pub async fn sweep_uploads(&self) -> Result<()> {
+        let partials = Arc::clone(&self.partials);
+        tokio::task::spawn_blocking(move || partials.sweep_old()).await?
     }
 
     /// Keeps a mesh under its hash.

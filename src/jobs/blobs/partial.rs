@@ -2,8 +2,9 @@
 //!
 //! 1. What is held is named by its owner and by a name that the sender made up: nobody goes on with, or learns of, what is
 //!    another's, and senders of the same bytes do not meet.
-//! 2. Of several streams of one upload the last one to begin writes; those before it find out with their next chunk. A
-//!    connection that is dead and does not know it so keeps its sender out no longer.
+//! 2. Of several streams of one upload the last one to begin writes; those before it find out with their next chunk, or
+//!    at their end. A connection that is dead and does not know it so keeps its sender out no longer. Once a stream has
+//!    brought all bytes, nobody writes the file until it has its final name or is gone: what was hashed is what is kept.
 //! 3. What is held may be damaged (the power went): the hash of the whole tells in the end, and then it is removed.
 //! 4. An owner has at most [`MOST`] of them, each for [`STAY`].
 
@@ -46,17 +47,71 @@ pub struct Upload {
 #[derive(Debug)]
 pub(super) struct Partials {
     folder: PathBuf,
-    /// Who writes, by name; true once somebody else does.
-    writers: Mutex<HashMap<String, Arc<Mutex<bool>>>>,
+    writers: Arc<Writers>,
+}
+
+/// Who writes, by name.
+type Writers = Mutex<HashMap<String, Arc<Seat>>>;
+
+/// One stream of an upload.
+#[derive(Debug, Default)]
+struct Seat {
+    phase: Mutex<Phase>,
+    /// Held while the file is touched.
+    writing: Mutex<()>,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Phase {
+    #[default]
+    Writes,
+    /// Another stream writes instead.
+    Over,
+    /// All bytes are there.
+    Whole,
+}
+
+impl Seat {
+    /// Writes no more; what it did until now.
+    fn leave(&self, next: Phase) -> Phase {
+        let mut phase = lock(&self.phase);
+        let before = *phase;
+        if before == Phase::Writes {
+            *phase = next;
+        }
+        before
+    }
+}
+
+/// Nobody else writes a file while this is there.
+#[derive(Debug)]
+pub(super) struct Claim {
+    writers: Arc<Writers>,
+    name: String,
+    seat: Arc<Seat>,
+}
+
+impl Drop for Claim {
+    fn drop(&mut self) {
+        let mut writers = lock(&self.writers);
+        if writers.get(&self.name).is_some_and(|seat| Arc::ptr_eq(seat, &self.seat)) {
+            writers.remove(&self.name);
+        }
+    }
 }
 
 impl Partials {
     /// Opens the folder, and removes what has stayed long enough.
     pub(super) fn open(folder: &Path) -> Result<Self> {
         create_dirs(folder)?;
-        let partials = Self { folder: folder.into(), writers: Mutex::default() };
-        partials.sweep("", usize::MAX)?;
+        let partials = Self { folder: folder.into(), writers: Arc::default() };
+        partials.sweep_old()?;
         Ok(partials)
+    }
+
+    /// Removes what has stayed long enough.
+    pub(super) fn sweep_old(&self) -> Result<()> {
+        self.sweep("", usize::MAX)
     }
 
     /// How many of the first bytes are held.
@@ -71,45 +126,14 @@ impl Partials {
         mut chunks: mpsc::Receiver<Bytes>,
         limit: u64,
     ) -> Result<Staged> {
-        let name = name_of(&upload.owner, &upload.id);
-        let held = self.held(&upload.owner, &upload.id);
-        if held == 0 {
+        if self.held(&upload.owner, &upload.id) == 0 {
             self.sweep(prefix_of(&upload.owner).as_str(), MOST - 1)?;
         }
-        if upload.offset > held {
-            return Err(Error::Offset { offset: upload.offset, held });
-        }
-        let writer = self.take_over(&name);
-        let written = self.write(&name, upload, &writer, &mut chunks, limit);
-        let mut writers = lock(&self.writers);
-        if writers.get(&name).is_some_and(|current| Arc::ptr_eq(current, &writer)) {
-            writers.remove(&name);
-        }
-        written
-    }
-
-    fn write(
-        &self,
-        name: &str,
-        upload: &Upload,
-        is_over: &Mutex<bool>,
-        chunks: &mut mpsc::Receiver<Bytes>,
-        limit: u64,
-    ) -> Result<Staged> {
-        let path = self.folder.join(name);
-        let mut writer = {
-            let _turn = lock(is_over);
-            let mut options = File::options();
-            let options = options.create(true).truncate(false).read(true).write(true);
-            let file = options.open(&path).map_err(Error::io(&path))?;
-            file.set_len(upload.offset).map_err(Error::io(&path))?;
-            Writer::after(file, &path, upload.offset)?
-        };
+        let (claim, mut writer) = self.begin(upload)?;
         while let Some(chunk) = chunks.blocking_recv() {
-            let is_over = lock(is_over);
-            if *is_over {
-                let fault = "another stream of the same upload goes on with it".into();
-                return Err(Error::Corrupt { what: "the transfer".into(), fault });
+            let _writing = lock(&claim.seat.writing);
+            if *lock(&claim.seat.phase) == Phase::Over {
+                return Err(taken_over());
             }
             writer.write(&chunk, limit.min(upload.size))?;
         }
@@ -119,15 +143,41 @@ impl Partials {
             let fault = format!("{n_came} of {} bytes came", upload.size);
             return Err(Error::Corrupt { what: "the transfer".into(), fault });
         }
-        writer.finish()
+        // From here on nobody takes it over.
+        if claim.seat.leave(Phase::Whole) == Phase::Over {
+            return Err(taken_over());
+        }
+        writer.finish_claimed(claim)
     }
 
-    /// From now on this is who writes.
-    fn take_over(&self, name: &str) -> Arc<Mutex<bool>> {
-        let writer = Arc::<Mutex<bool>>::default();
-        let before = lock(&self.writers).insert(name.into(), Arc::clone(&writer));
-        before.iter().for_each(|before| *lock(before) = true);
-        writer
+    /// From now on this is who writes, behind what is held.
+    fn begin(&self, upload: &Upload) -> Result<(Claim, Writer)> {
+        let name = name_of(&upload.owner, &upload.id);
+        let path = self.folder.join(&name);
+        let seat = Arc::<Seat>::default();
+        // Whoever comes next waits until this one has begun, which waits until the one before has written its chunk.
+        let _writing = lock(&seat.writing);
+        let before = self.take_over(&name, &seat)?;
+        let claim = Claim { writers: Arc::clone(&self.writers), name, seat: Arc::clone(&seat) };
+        before.iter().for_each(|before| drop(lock(&before.writing)));
+        let held = self.held(&upload.owner, &upload.id);
+        if upload.offset > held {
+            return Err(Error::Offset { offset: upload.offset, held });
+        }
+        let mut options = File::options();
+        let options = options.create(true).truncate(false).read(true).write(true);
+        let file = options.open(&path).map_err(Error::io(&path))?;
+        file.set_len(upload.offset).map_err(Error::io(&path))?;
+        Ok((claim, Writer::after(file, &path, upload.offset)?))
+    }
+
+    /// Puts a stream in the place of the one that writes, if any, which it returns.
+    fn take_over(&self, name: &str, seat: &Arc<Seat>) -> Result<Option<Arc<Seat>>> {
+        let mut writers = lock(&self.writers);
+        if writers.get(name).is_some_and(|before| before.leave(Phase::Over) == Phase::Whole) {
+            return Err(Error::UnderWay);
+        }
+        Ok(writers.insert(name.into(), Arc::clone(seat)))
     }
 
     /// Removes what begins with this and has stayed too long, and the oldest beyond so many. What is being written
@@ -151,6 +201,11 @@ impl Partials {
         }
         Ok(())
     }
+}
+
+fn taken_over() -> Error {
+    let fault = "another stream of the same upload goes on with it".into();
+    Error::Corrupt { what: "the transfer".into(), fault }
 }
 
 /// Whoever panicked here had written whole chunks.
@@ -217,8 +272,47 @@ mod tests {
         let hash = blake3::hash(&bytes()).to_hex().to_string();
         assert_eq!((staged.size, &staged.hash), (SIZE as u64, &hash));
         assert_eq!(fs::read(&staged.path).unwrap(), bytes());
+        // Where it cannot be stored now, the next stream needs its header alone.
         drop(staged);
+        assert_eq!(partials.held("ann", "a"), SIZE as u64);
+        let staged = send(&partials, &upload("ann", SIZE), SIZE).unwrap();
+        assert_eq!(staged.hash, hash);
+        staged.discard();
         assert_eq!(partials.held("ann", "a"), 0, "nobody wanted it");
+    }
+
+    /// Whoever wrote behind the end of another stream would replace what was hashed.
+    #[test]
+    fn what_is_whole_is_nobodys_to_write() {
+        let (_dir, partials) = partials();
+        let staged = send(&partials, &upload("ann", 0), SIZE).unwrap();
+        for offset in [0, 500, SIZE] {
+            let fault = send(&partials, &upload("ann", offset), SIZE).unwrap_err();
+            assert!(matches!(fault, Error::UnderWay), "{fault}");
+        }
+        assert_eq!(fs::read(&staged.path).unwrap(), bytes());
+        drop(staged);
+        assert!(send(&partials, &upload("ann", 0), SIZE).is_ok());
+    }
+
+    /// Two streams bring all bytes; the first one ends last.
+    #[test]
+    fn a_stream_that_was_taken_over_keeps_nothing() {
+        let (_dir, partials) = partials();
+        let (send_first, chunks) = mpsc::channel(64);
+        std::thread::scope(|scope| {
+            let first = scope.spawn(|| partials.receive(&upload("ann", 0), chunks, u64::MAX));
+            send_first.blocking_send(Bytes::from(bytes())).unwrap();
+            while partials.held("ann", "a") < SIZE as u64 {
+                std::thread::yield_now();
+            }
+            let other = send(&partials, &upload("ann", 0), 900).unwrap_err();
+            assert!(other.to_string().contains("900 of 1000"), "{other}");
+            drop(send_first);
+            let fault = first.join().unwrap().unwrap_err();
+            assert!(fault.to_string().contains("another stream"), "{fault}");
+        });
+        assert_eq!(partials.held("ann", "a"), 900);
     }
 
     #[test]

@@ -16,7 +16,7 @@ use std::{
 use tokio::sync::mpsc;
 use tokio_util::bytes::Bytes;
 
-use super::local::create_dirs;
+use super::{local::create_dirs, partial::Claim};
 use crate::jobs::error::{Error, Result};
 
 /// So many bytes are written before the disk has to have them. A file that waits in memory for its end, however
@@ -37,7 +37,8 @@ pub(super) struct Staging {
     n_staged: AtomicU64,
 }
 
-/// Bytes on disk under a temporary name, removed unless committed.
+/// Bytes on disk under a temporary name. Without a claim they are removed unless they are committed; with one they stay,
+/// for another stream to go on with, unless they are discarded.
 #[derive(Debug)]
 pub struct Staged {
     pub(super) path: PathBuf,
@@ -45,19 +46,30 @@ pub struct Staged {
     pub hash: String,
     /// Bytes.
     pub size: u64,
-    pub(super) committed: bool,
+    pub(super) stays: bool,
+    pub(super) claim: Option<Claim>,
+}
+
+impl Staged {
+    /// They are not what they should be, or they are kept elsewhere.
+    pub fn discard(mut self) {
+        self.stays = false;
+    }
 }
 
 impl Drop for Staged {
     fn drop(&mut self) {
         // An orphan that cannot be removed now is swept at the next start.
         match self.size {
-            _ if self.committed => {}
+            _ if self.stays => {}
             0..=FREED => drop(fs::remove_file(&self.path)),
             size => {
-                let path = self.path.clone();
+                let (path, claim) = (self.path.clone(), self.claim.take());
                 // Without a thread to spare it is an orphan.
-                let _ = thread::Builder::new().spawn(move || give_up(&path, size));
+                let _ = thread::Builder::new().spawn(move || {
+                    give_up(&path, size);
+                    drop(claim);
+                });
             }
         }
     }
@@ -105,7 +117,7 @@ impl Staging {
         let n = self.n_staged.fetch_add(1, Ordering::Relaxed);
         let path = self.folder.join(n.to_string());
         let file = File::create(&path).map_err(Error::io(&path))?;
-        let staged = Staged { path, hash: String::new(), size: 0, committed: false };
+        let staged = Staged { path, hash: String::new(), size: 0, stays: false, claim: None };
         Ok(Writer { file, hasher: blake3::Hasher::new(), n_unsynced: 0, staged })
     }
 }
@@ -119,11 +131,12 @@ pub(super) struct Writer {
 }
 
 impl Writer {
-    /// Goes on behind the first `size` bytes of a file, which stays whatever happens before [`Self::finish`].
+    /// Goes on behind the first `size` bytes of a file, which stays whatever happens.
     pub(super) fn after(mut file: File, path: &Path, size: u64) -> Result<Self> {
         let mut hasher = blake3::Hasher::new();
         hasher.update_reader(&mut file).map_err(Error::io(path))?;
-        let staged = Staged { path: path.into(), hash: String::new(), size, committed: true };
+        let path = path.into();
+        let staged = Staged { path, hash: String::new(), size, stays: true, claim: None };
         Ok(Self { file, hasher, n_unsynced: 0, staged })
     }
 
@@ -157,8 +170,13 @@ impl Writer {
     /// All bytes are there.
     pub(super) fn finish(mut self) -> Result<Staged> {
         self.sync()?;
-        self.staged.committed = false;
         self.staged.hash = self.hasher.finalize().to_hex().to_string();
         Ok(self.staged)
+    }
+
+    /// [`Self::finish`] of a file that others might write.
+    pub(super) fn finish_claimed(mut self, claim: Claim) -> Result<Staged> {
+        self.staged.claim = Some(claim);
+        self.finish()
     }
 }

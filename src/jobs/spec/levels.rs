@@ -94,6 +94,8 @@ impl Spec {
         }
         if n_levels == 0 || n_levels > MAX_LEVELS {
             fault(field, format!("{n_levels} levels of detail: ask for 1 to {MAX_LEVELS}"));
+            // A million wrong levels are one fault.
+            return;
         } else if self.method == Method::Cluster && n_levels > 1 {
             let text = format!("{n_levels} levels: vertex clustering makes one, so ask for one");
             fault(field, text);

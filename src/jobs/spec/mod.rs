@@ -402,7 +402,7 @@ impl Render {
             let n_views = self.custom_views.len();
             fault("custom_views", format!("{n_views} views: at most {MAX_VIEWS} are allowed"));
         }
-        for (i, view) in self.custom_views.iter().enumerate() {
+        for (i, view) in self.custom_views.iter().enumerate().take(MAX_VIEWS) {
             let square = view.iter().map(|c| c * c).sum::<f64>();
             if !square.is_normal() {
                 let text = format!("{view:?} is not a direction: use a length of 1e-150 to 1e150");

@@ -118,6 +118,16 @@ fn custom_views_replace_the_count() {
     assert_eq!(fields(&spec), ["render.custom_views[1]", "render.custom_views[2]"]);
 }
 
+/// A request may hold millions of them.
+#[test]
+fn however_many_are_wrong_few_faults_are_found() {
+    let mut spec = Spec::new(vec![0; 100_000]);
+    spec.render.custom_views = vec![[0.0; 3]; 100_000];
+    let found = fields(&spec);
+    assert_eq!(found[..3], ["triangles", "render.custom_views", "render.custom_views[0]"]);
+    assert!(found.len() < 100, "{}", found.len());
+}
+
 #[test]
 fn optimization_has_faults_of_its_own() {
     let mut spec = Spec::new(vec![10, 20]);

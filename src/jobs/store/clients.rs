@@ -6,7 +6,7 @@ use sqlx::{AssertSqlSafe, Row, any::AnyRow};
 
 use super::{
     Artifact, Body, Exclusive, Job, State, Store, StoredEvent, Tx, checkpoints, event_of, find,
-    find_to_write, job_of, log, now_ms, only, owners, sql, state_entry, storable, stored, webhooks,
+    find_to_write, job_of, log, now_ms, only, owners, state_entry, storable, stored, webhooks,
 };
 use crate::jobs::{
     Limits,
@@ -137,17 +137,20 @@ impl Store {
         })
     }
 
-    /// Forgets the meshes that no job names and that nobody uploaded or asked for in so long; their
-    /// hashes.
-    pub async fn forget_meshes(&self, unused_for: Duration) -> Result<Vec<String>> {
+    /// Forgets meshes, at most `limit` of them, that no job names and that nobody uploaded or asked for in so long;
+    /// their hashes.
+    pub async fn forget_meshes(&self, unused_for: Duration, limit: u32) -> Result<Vec<String>> {
         transaction!(self, tx, {
             let age_ms = i64::try_from(unused_for.as_millis()).unwrap_or(i64::MAX);
             let before = now_ms(&mut tx).await?.saturating_sub(age_ms);
-            let delete = "DELETE FROM meshes WHERE created_ms <= $1 \
-                          AND NOT EXISTS (SELECT 1 FROM jobs WHERE jobs.mesh = meshes.hash \
-                          OR jobs.spec /*pg ::json */ -> 'simplified' ->> 'mesh' = meshes.hash) \
-                          RETURNING hash";
-            let delete = sqlx::query_scalar::<_, String>(sql(&tx, delete)).bind(before);
+            // Asked twice for the time: one that is touched meanwhile stays.
+            let delete = "DELETE FROM meshes WHERE created_ms <= $1 AND hash IN ( \
+                          SELECT hash FROM meshes AS old WHERE old.created_ms <= $1 \
+                          AND NOT EXISTS (SELECT 1 FROM jobs WHERE jobs.mesh = old.hash) \
+                          AND NOT EXISTS (SELECT 1 FROM jobs WHERE jobs.simplified = old.hash) \
+                          LIMIT $2) RETURNING hash";
+            let delete = sqlx::query_scalar::<_, String>(delete).bind(before);
+            let delete = delete.bind(i64::from(limit));
             let hashes = delete.fetch_all(&mut *tx).await?;
             Ok(hashes)
         })
@@ -193,13 +196,15 @@ impl Store {
             keep_meshes(&mut tx, new, now).await?;
             let spec = serde_json::to_string(&new.spec).map_err(stored("the specification"))?;
             let insert = "INSERT INTO jobs (id, owner, mesh, file_name, spec, state, created_ms, \
-                          queued_ms, priority, trace, labels) \
-                          VALUES ($1, $2, $3, $4, $5, $6, $7, $7, $8, $9, $10)";
+                          queued_ms, priority, trace, labels, simplified) \
+                          VALUES ($1, $2, $3, $4, $5, $6, $7, $7, $8, $9, $10, $11)";
             let insert = sqlx::query(insert).bind(id).bind(&new.owner).bind(&new.mesh);
             let insert =
                 insert.bind(&new.file_name).bind(spec).bind(State::Queued.name()).bind(now);
             let labels = serde_json::to_string(&new.labels).map_err(stored("the labels"))?;
             let insert = insert.bind(i64::from(new.priority)).bind(&new.trace).bind(labels);
+            let simplified = new.spec.simplified.as_ref().map(|input| &*input.mesh);
+            let insert = insert.bind(simplified);
             insert.execute(&mut *tx).await?;
             owners::note_request(&mut tx, new, id).await?;
             webhooks::note(&mut tx, new, id).await?;

@@ -288,8 +288,11 @@ async fn a_job_keeps_its_meshes(home: Home) {
     let input = Input { mesh: hash("crude"), file_name: "b.ply".into() };
     let new = NewJob { spec: Spec::optimizing(input), ..new_job("") };
     store.create("a", &new, &queue_of(9)).await.unwrap();
-    assert_eq!(store.forget_meshes(Duration::from_hours(1)).await.unwrap(), Vec::<String>::new());
-    assert_eq!(store.forget_meshes(Duration::ZERO).await.unwrap(), [hash("unused")]);
+    assert_eq!(
+        store.forget_meshes(Duration::from_hours(1), 9).await.unwrap(),
+        Vec::<String>::new()
+    );
+    assert_eq!(store.forget_meshes(Duration::ZERO, 9).await.unwrap(), [hash("unused")]);
     // Forgotten between the caller's look and the creation.
     let late = NewJob { mesh: hash("unused"), ..new_job("") };
     let Err(Error::Invalid(faults)) = store.create("b", &late, &queue_of(9)).await else {
@@ -312,7 +315,7 @@ async fn texts_are_kept_and_ordered_by_their_bytes(home: Home) {
         }
     }
     let outcome = Outcome::Failed("BAD\0".into(), "quote ' \" $1 ? \0 é".into());
-    let job = store.complete(&lease, &outcome, 3).await.unwrap();
+    let (job, _) = store.complete(&lease, &outcome, 3).await.unwrap();
     assert_eq!(job.failure, ("BAD\u{fffd}".into(), "quote ' \" $1 ? \u{fffd} é".into()));
     let (again, artifacts) = store.artifacts("a0").await.unwrap();
     assert_eq!(again, job);

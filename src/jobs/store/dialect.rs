@@ -171,6 +171,7 @@ impl Dialect {
             (14, "queue", include_str!("../migrations/0014_queue.sql")),
             (15, "traces", include_str!("../migrations/0015_traces.sql")),
             (16, "labels", include_str!("../migrations/0016_labels.sql")),
+            (17, "inputs", include_str!("../migrations/0017_inputs.sql")),
         ];
         let migration = |(version, name, sql): (i64, &'static str, &'static str)| {
             let sql = sqlx::SqlSafeStr::into_sql_str(AssertSqlSafe(self.text(sql).into_owned()));

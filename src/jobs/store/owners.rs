@@ -13,7 +13,8 @@ const STORED_BYTES: &str = "SELECT CAST( \
     (SELECT COALESCE(SUM(size), 0) FROM meshes \
      JOIN mesh_owners ON mesh_owners.mesh = meshes.hash WHERE mesh_owners.owner = $1) + \
     (SELECT COALESCE(SUM(size), 0) FROM artifacts \
-     JOIN jobs ON jobs.id = artifacts.job WHERE jobs.owner = $1) AS BIGINT)";
+     JOIN jobs ON jobs.id = artifacts.job AND jobs.epoch = artifacts.epoch \
+     WHERE jobs.owner = $1) AS BIGINT)";
 
 impl Store {
     /// Notes that `owner` has uploaded a stored mesh; false when that was known. Refused when its
@@ -34,6 +35,24 @@ impl Store {
             }
             Ok(is_new)
         })
+    }
+
+    /// Refuses where the things of `owner` would be more than `limit` bytes with a mesh that is not stored yet.
+    pub async fn check_room(&self, owner: &str, hash: &str, size: u64, limit: u64) -> Result<()> {
+        if limit == u64::MAX || self.owned_mesh_size(owner, hash).await?.is_some() {
+            return Ok(());
+        }
+        if self.stored_bytes(owner).await?.saturating_add(size) > limit {
+            return Err(Error::Quota { quota: Quota::Bytes, limit });
+        }
+        Ok(())
+    }
+
+    /// Whether a request of this name made a job before.
+    pub async fn is_requested(&self, owner: &str, request_id: &str) -> Result<bool> {
+        let query = "SELECT count(*) FROM requests WHERE owner = $1 AND request_id = $2";
+        let query = sqlx::query_scalar::<_, i64>(query).bind(owner).bind(request_id);
+        Ok(!request_id.is_empty() && query.fetch_one(&self.readers).await? > 0)
     }
 
     /// Size in bytes of a stored mesh that `owner` has uploaded.

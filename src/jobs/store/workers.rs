@@ -137,11 +137,16 @@ impl Store {
         })
     }
 
-    /// Ends the attempt. A repetition of the call that ended the job is accepted.
-    pub async fn complete(&self, lease: &Lease, outcome: &Outcome, max_lost: u32) -> Result<Job> {
+    /// Ends the attempt; says whether this call did it. A repetition of the call that ended the job is accepted.
+    pub async fn complete(
+        &self,
+        lease: &Lease,
+        outcome: &Outcome,
+        max_lost: u32,
+    ) -> Result<(Job, bool)> {
         transaction!(self, tx, {
             if let Some(job) = repeated(&mut tx, lease, outcome).await? {
-                return Ok(job);
+                return Ok((job, false));
             }
             let job = held_to_write(&mut tx, lease).await?;
             let job = match outcome {
@@ -166,7 +171,7 @@ impl Store {
                 }
             };
             pass(Point::CompleteWritten);
-            Ok(job)
+            Ok((job, true))
         })
     }
 

@@ -173,8 +173,8 @@ async fn a_job_from_creation_to_its_artifacts(home: Home) {
     let missing = jobs.complete(&lease, &Outcome::Succeeded(vec!["y".into()])).await;
     assert!(matches!(missing, Err(Error::Invalid(_))));
     let done = Outcome::Succeeded(vec!["x".into()]);
-    jobs.complete(&lease, &done).await.unwrap();
-    jobs.complete(&lease, &done).await.unwrap();
+    assert!(jobs.complete(&lease, &done).await.unwrap().1);
+    assert!(!jobs.complete(&lease, &done).await.unwrap().1, "a repetition");
     let (artifact, blob) = jobs.artifact(&job.id, "x").await.unwrap();
     let chunks: Vec<_> = blob.read(0, 9).await.unwrap().try_collect().await.unwrap();
     assert_eq!((artifact.size, chunks.concat().as_slice()), (1, b"1".as_slice()));

@@ -43,9 +43,14 @@ pub fn state_from_wire(wire: i32) -> Option<State> {
 /// Which jobs a list asks for.
 pub(super) fn filter_from_wire(request: &v1::ListJobsRequest) -> Result<Filter, Status> {
     let unknown = |state| format!("{state} is no state that a job can be in");
-    let state = |&state: &i32| {
-        state_from_wire(state).ok_or_else(|| status::invalid("states", unknown(state)))
-    };
+    let mut states = Vec::new();
+    for &state in &request.states {
+        let state =
+            state_from_wire(state).ok_or_else(|| status::invalid("states", unknown(state)))?;
+        if !states.contains(&state) {
+            states.push(state);
+        }
+    }
     let label = |text: &String| labels::parse(text).map_err(|text| status::invalid("labels", text));
     if request.labels.len() > labels::MOST {
         let text =
@@ -55,7 +60,7 @@ pub(super) fn filter_from_wire(request: &v1::ListJobsRequest) -> Result<Filter, 
     let time = |time: &Option<Timestamp>| time.as_ref().map(time_from_wire);
     Ok(Filter {
         owner: Some(request.owner.clone()).filter(|owner| !owner.is_empty()),
-        states: request.states.iter().map(state).collect::<Result<_, _>>()?,
+        states,
         labels: request.labels.iter().map(label).collect::<Result<_, _>>()?,
         created_ms: (time(&request.create_time_from), time(&request.create_time_until)),
     })

@@ -229,13 +229,17 @@ fn max_d2_from_wire(for_all: f64, of_levels: Vec<f64>, faults: &mut Vec<Fault>) 
 }
 
 fn locks_from_wire(wire: &[i32], faults: &mut Vec<Fault>) -> Vec<Lock> {
-    let mut locks = Vec::with_capacity(wire.len());
+    let mut locks = Vec::new();
     for (i, word) in wire.iter().enumerate() {
-        if let Some((_, lock)) = LOCKS.iter().find(|(known, _)| i32::from(*known) == *word) {
-            locks.push(*lock);
-        } else {
-            let text = format!("{word} is no value this server knows");
-            faults.push(Fault { field: format!("spec.lock[{i}]"), text });
+        match LOCKS.iter().find(|(known, _)| i32::from(*known) == *word) {
+            // However often it is named.
+            Some((_, lock)) if locks.contains(lock) => {}
+            Some((_, lock)) => locks.push(*lock),
+            None => {
+                let text = format!("{word} is no value this server knows");
+                faults.push(Fault { field: format!("spec.lock[{i}]"), text });
+                break;
+            }
         }
     }
     locks
@@ -345,7 +349,8 @@ mod tests {
         let views = prop::collection::vec(prop::array::uniform3(-1.0..1.0f64), 0..3);
         let ratios = prop::collection::vec(0.0..1.0f64, 0..3);
         let budgets = (ratios.clone(), ratios.clone(), prop::collection::vec(any::<u64>(), 0..3));
-        let locks = prop::collection::vec(pick(&LOCKS), 0..4);
+        let all_locks: Vec<_> = LOCKS.iter().map(|(_, lock)| *lock).collect();
+        let locks = prop::sample::subsequence(all_locks, 0..=LOCKS.len());
         let levels = (prop::collection::vec(any::<u32>(), 0..4), ratios, budgets, locks);
         let counts = (levels, prop::array::uniform3(0..99u32));
         (numbers, words, views, counts, any::<u64>(), any::<u64>()).prop_map(
@@ -477,7 +482,7 @@ mod tests {
             simplify.method = 99;
             simplify.effort = -1;
             simplify.topology = 4;
-            simplify.lock = vec![1, 0];
+            simplify.lock = vec![1, 0, 0];
             (simplify.max_d2, simplify.level_max_d2) = (1.0, vec![2.0]);
         }
         let fields: Vec<_> = spec_from_wire(Some(wire)).1.into_iter().map(|f| f.field).collect();

@@ -105,7 +105,7 @@ async fn a_job_is_a_tree_below_the_call_that_created_it() {
     let (_dir, jobs, id) = created(CALLER).await;
     let lease = claim(&jobs, "w").await;
     jobs.append(&lease, 0, work()).await.unwrap();
-    let done = jobs.complete(&lease, &Outcome::Succeeded(vec![])).await.unwrap();
+    let (done, _) = jobs.complete(&lease, &Outcome::Succeeded(vec![])).await.unwrap();
     let told = told(&jobs, &id, done.last_seq).await.unwrap();
     let (lines, spans) = tree(&told);
     let wanted = [
@@ -145,7 +145,7 @@ async fn attempts_and_retries_fit_together_whoever_tells_of_them() {
     assert_eq!(tree(&lost).0.len(), 4, "{lost:?}");
     let second = claim(&jobs, "w2").await;
     let failed = Outcome::Failed("NO".into(), "use another".into());
-    let failed = jobs.complete(&second, &failed).await.unwrap();
+    let (failed, _) = jobs.complete(&second, &failed).await.unwrap();
     let failed = told(&jobs, &id, failed.last_seq).await.unwrap();
     jobs.retry(&id).await.unwrap();
     let (cancelled, _) = jobs.cancel(&id).await.unwrap();

@@ -213,7 +213,7 @@ async fn jobs_of_higher_priority_get_the_workers_of_lower_ones(home: Home) {
     let orders = stores[1].heartbeat(&leases["low"], &Terms::default()).await.unwrap();
     assert_eq!(orders, Orders { preempt: true, ..Orders::default() });
     let handed_back = Outcome::Released(String::new());
-    let low = stores[1].complete(&leases["low"], &handed_back, 3).await.unwrap();
+    let (low, _) = stores[1].complete(&leases["low"], &handed_back, 3).await.unwrap();
     assert_eq!((low.state, low.lost), (State::Queued, 0));
     assert_eq!(stores[0].attempts("low", 1).await.unwrap()[0].reason, "PREEMPTED");
     assert_eq!(claim(&stores[0], "w9").await.unwrap().0.id, "high0");
@@ -237,7 +237,7 @@ async fn a_drained_host_hands_its_job_back_and_gets_no_other(home: Home) {
     assert!(stores[1].drain("x").await.unwrap().drained);
     let orders = stores[0].heartbeat(&lease, &terms).await.unwrap();
     assert_eq!(orders, Orders { drain: true, ..Orders::default() });
-    let job = stores[0].complete(&lease, &Outcome::Released(String::new()), 3).await.unwrap();
+    let (job, _) = stores[0].complete(&lease, &Outcome::Released(String::new()), 3).await.unwrap();
     assert_eq!((job.state, job.lost), (State::Queued, 0));
     // Another incarnation is no way around it, and an end of a quarantine neither.
     let (why, is_news) = refusal(claim_on(&stores[0], "x", &terms).await);
