@@ -83,103 +83,56 @@ pub const LOOKS: [Look; 10] = [
         projection: Projection::Orthographic,
         interior_views: 3,
         coloured: true,
-        painted: false,
-        glows: false,
-        hides_back_faces: false,
-        by_channel: false,
-        is_weighed: false,
+        ..PLAIN
     },
     Look {
         image_size: 104,
         n_views: 8,
-        shading: Shading::Flat,
         projection: Projection::Orthographic,
         interior_views: 8,
         coloured: true,
-        painted: false,
-        glows: false,
-        hides_back_faces: false,
-        by_channel: false,
-        is_weighed: false,
+        ..PLAIN
     },
-    Look {
-        image_size: 256,
-        n_views: 20,
-        shading: Shading::Smooth,
-        projection: Projection::Perspective,
-        interior_views: 0,
-        coloured: false,
-        painted: false,
-        glows: false,
-        hides_back_faces: false,
-        by_channel: false,
-        is_weighed: false,
-    },
+    Look { image_size: 256, n_views: 20, shading: Shading::Smooth, ..PLAIN },
     Look {
         image_size: 128,
         n_views: 4,
-        shading: Shading::Flat,
-        projection: Projection::Perspective,
         interior_views: 1,
         coloured: true,
         painted: true,
-        glows: false,
         hides_back_faces: true,
-        by_channel: false,
-        is_weighed: false,
+        ..PLAIN
     },
     Look {
         image_size: 64,
         n_views: 6,
         shading: Shading::Smooth,
         projection: Projection::Orthographic,
-        interior_views: 0,
         coloured: true,
         painted: true,
-        glows: false,
         hides_back_faces: true,
-        by_channel: false,
-        is_weighed: false,
+        ..PLAIN
     },
     Look {
         image_size: 64,
         n_views: 6,
         shading: Shading::Smooth,
-        projection: Projection::Perspective,
         interior_views: 3,
         coloured: true,
         painted: true,
-        glows: false,
-        hides_back_faces: false,
         by_channel: true,
-        is_weighed: false,
+        ..PLAIN
     },
-    Look {
-        image_size: 104,
-        n_views: 6,
-        shading: Shading::Flat,
-        projection: Projection::Perspective,
-        interior_views: 0,
-        coloured: false,
-        painted: true,
-        glows: false,
-        hides_back_faces: false,
-        by_channel: false,
-        is_weighed: true,
-    },
+    Look { image_size: 104, n_views: 6, painted: true, is_weighed: true, ..PLAIN },
     Look { is_weighed: true, ..PLAIN },
     Look {
         image_size: 128,
         n_views: 6,
-        shading: Shading::Flat,
-        projection: Projection::Perspective,
-        interior_views: 0,
         coloured: true,
         painted: true,
         glows: true,
-        hides_back_faces: false,
         by_channel: true,
-        is_weighed: false,
+        ..PLAIN
     },
 ];
 
@@ -202,13 +155,24 @@ pub fn reference(scene: &Scene, look: Look) -> Reference {
 
 /// The scene of any triangles.
 pub fn scene_of(positions: Vec<DVec3>, faces: Vec<[u32; 3]>, look: Look) -> Scene {
+    let sphere = BoundingSphere::of(positions.iter().copied());
+    scene_within(&sphere, positions, faces, look)
+}
+
+/// [`scene_of`] whose pictures show a sphere, whatever is beside it.
+pub fn scene_within(
+    sphere: &BoundingSphere,
+    positions: Vec<DVec3>,
+    faces: Vec<[u32; 3]>,
+    look: Look,
+) -> Scene {
     let view_params = ViewParams {
         directions: directions(look.n_views).unwrap(),
         fov_degrees: 60.0,
         projection: look.projection,
         light_degrees: 10.0,
     };
-    let mut views = cameras(&BoundingSphere::of(positions.iter().copied()), &view_params);
+    let mut views = cameras(sphere, &view_params);
     // Not every view counts as much.
     views.iter_mut().zip([3, 1, 0]).for_each(|(view, weight)| view.weight = weight);
     let n_channels = if look.by_channel { 3 } else { 1 };

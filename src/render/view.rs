@@ -233,23 +233,51 @@ impl BoundingSphere {
     /// that every point is inside. A point set without extent gets radius 1.
     pub fn of(points: impl IntoIterator<Item = DVec3>) -> Self {
         let mut points: Vec<DVec3> = points.into_iter().collect();
-        let mut ball = Ball { center: DVec3::ZERO, radius2: -1.0 };
-        // Farthest-point passes: grow the support set with the worst offender until none is left.
-        // Each pass solves a tiny exact problem, so a million points cost a few linear scans.
-        let mut support: Vec<DVec3> = Vec::new();
-        for _ in 0..200 {
-            let Some(worst) = farthest(&points, &ball) else { break };
-            support.push(worst);
-            ball = welzl(&mut support.clone(), &mut Vec::new());
-            support.retain(|p| p.distance_squared(ball.center) >= ball.radius2 * (1.0 - 1e-9));
-        }
-        points.clear();
+        let origin = far_center(&points);
+        points.iter_mut().for_each(|p| *p -= origin);
+        let ball = minimum_ball(&points);
+        let center = origin + ball.center;
         if ball.radius2 <= 0.0 {
-            return Self { center: ball.center, radius: 1.0 };
+            return Self { center, radius: 1.0 };
         }
-        Self { center: ball.center, radius: ball.radius2.sqrt() * (1.0 + 1e-12) }
+        // What the sum loses.
+        let lost = (center - origin - ball.center).length();
+        Self { center, radius: ball.radius2.sqrt() * (1.0 + 1e-12) + lost }
     }
 }
+
+/// Where rounding would hide how points that are far from the origin lie to each other, the centre of their bounds;
+/// elsewhere the origin.
+fn far_center(points: &[DVec3]) -> DVec3 {
+    let first = points.first().copied().unwrap_or(DVec3::ZERO);
+    let (low, high) = points.iter().fold((first, first), |(lo, hi), p| (lo.min(*p), hi.max(*p)));
+    let is_far = low.abs().max(high.abs()).max_element() > FAR * (high - low).max_element();
+    if is_far { low.midpoint(high) } else { DVec3::ZERO }
+}
+
+/// Farthest-point passes: the support set grows by the worst offender until none is left. Each pass solves a tiny exact
+/// problem, so a million points cost a few linear scans.
+fn minimum_ball(points: &[DVec3]) -> Ball {
+    let mut ball = Ball { center: DVec3::ZERO, radius2: -1.0 };
+    let mut support: Vec<DVec3> = Vec::new();
+    for _ in 0..200 {
+        let Some(worst) = farthest(points, &ball) else { return ball };
+        support.push(worst);
+        if support.len() > MAX_SUPPORT {
+            break;
+        }
+        ball = welzl(&mut support.clone(), &mut Vec::new());
+        support.retain(|p| p.distance_squared(ball.center) >= ball.radius2 * (1.0 - 1e-9));
+    }
+    // All but minimal, if rounding keeps the passes from an end.
+    let worst = farthest(points, &ball);
+    worst.map_or(ball, |p| Ball { radius2: p.distance_squared(ball.center), ..ball })
+}
+
+/// Points are far from the origin when they are so many times the size of their bounds away.
+const FAR: f64 = 1024.0;
+/// Points on the sphere, beyond which a pass takes too long.
+const MAX_SUPPORT: usize = 32;
 
 #[derive(Clone, Copy)]
 struct Ball {
@@ -349,6 +377,24 @@ mod tests {
         assert_eq!(BoundingSphere::of([DVec3::ONE; 5]).radius, 1.0);
         let line = BoundingSphere::of((0..10).map(|i| DVec3::X * i as f64));
         assert!((line.radius - 4.5).abs() < 1e-9);
+    }
+
+    /// As scans are whose coordinates are those of a map; singles would be half a metre apart.
+    #[test]
+    fn bounding_sphere_far_from_the_origin() {
+        let points: Vec<DVec3> = (0..2000)
+            .map(|i| directions(24).unwrap()[i % 24] * (0.9 + 0.1 * libm::sin(i as f64)))
+            .collect();
+        let near = BoundingSphere::of(points.iter().copied());
+        for offset in [1e3, 4.5e6, 1e8, 1e12] {
+            let offset = DVec3::new(offset, 0.3 * offset, -7.0);
+            let moved: Vec<DVec3> = points.iter().map(|p| *p + offset).collect();
+            let far = BoundingSphere::of(moved.iter().copied());
+            let step = 1e-15 * offset.length();
+            assert!((far.radius - near.radius).abs() < 1e-9 + 10.0 * step, "{offset}: {far:?}");
+            let outermost = moved.iter().map(|p| p.distance(far.center)).fold(0.0, f64::max);
+            assert!(outermost <= far.radius, "{offset}");
+        }
     }
 
     #[test]

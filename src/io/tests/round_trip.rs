@@ -5,7 +5,10 @@ use proptest::prelude::*;
 
 use super::{models::model, *};
 use crate::{
-    io::{GlbOptions, PlyPositions, write_glb, write_glb_with, write_obj, write_ply},
+    io::{
+        GlbLevel, GlbOptions, PlyPositions, write_glb, write_glb_with, write_lods, write_obj,
+        write_ply,
+    },
     mesh::{AttributeLayer, FaceId, Material, Semantic, WedgeId},
 };
 
@@ -76,6 +79,27 @@ fn glb_keeps_everything() {
     let bytes = write_glb(&again).unwrap();
     assert_eq!(load("x.glb", &bytes).unwrap().mesh, again);
     assert_eq!(write_glb(&again).unwrap(), bytes, "the same mesh gives the same bytes");
+}
+
+/// Singles are half a metre apart at the coordinates of a map.
+#[test]
+fn glb_keeps_what_is_far_from_the_origin() {
+    let offset = DVec3::new(500_000.0, 4_500_000.0, 100.0);
+    let mut mesh = rich_square();
+    mesh.positions.iter_mut().for_each(|p| *p += offset);
+    let near = write_glb(&rich_square()).unwrap();
+    assert!(!String::from_utf8_lossy(&near).contains("translation"));
+    for level in [write_glb(&mesh).unwrap(), {
+        let level = GlbLevel { name: "a", mesh: &mesh, screen_coverage: 1.0 };
+        write_lods(&[level], GlbOptions::default()).unwrap()
+    }] {
+        let again = load("x.glb", &level).unwrap().mesh;
+        assert_eq!(again.faces.len(), mesh.faces.len());
+        for p in &mesh.positions {
+            let nearest = again.positions.iter().map(|q| q.distance(*p)).fold(9.0, f64::min);
+            assert!(nearest < 1e-6, "{p}: {nearest}");
+        }
+    }
 }
 
 /// No two triangles of a file have the same three points, or Blender would drop one of them.

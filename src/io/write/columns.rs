@@ -72,27 +72,47 @@ pub(super) fn column(values: &[f32], width: usize, number: &Number) -> (Vec<u8>,
 }
 
 /// 65,536 places along the longest side of the vertices' bounds, as many to the unit along the
-/// others. One grid for the whole file: what coincides goes on to coincide.
+/// others. One grid for the whole file: what coincides goes on to coincide. Or, without steps, an origin for what is so
+/// far from that of the model that singles are too coarse there.
 pub(super) struct Grid {
     low: [f32; 3],
     step: f32,
+    has_steps: bool,
+}
+
+/// Models are far from the origin when they are so many times their size away: singles leave them 14 bits of 24.
+const FAR: f64 = 1024.0;
+
+fn bounds(meshes: &[&Mesh]) -> (DVec3, DVec3) {
+    let mut points = meshes.iter().flat_map(|mesh| &mesh.positions);
+    let first = points.next().copied().unwrap_or(DVec3::ZERO);
+    points.fold((first, first), |(lo, hi), p| (lo.min(*p), hi.max(*p)))
 }
 
 impl Grid {
     /// Covers all vertices.
     pub(super) fn of(meshes: &[&Mesh]) -> Self {
-        let mut points = meshes.iter().flat_map(|mesh| &mesh.positions);
-        let first = points.next().copied().unwrap_or(DVec3::ZERO);
-        let (low, high) = points.fold((first, first), |(lo, hi), p| (lo.min(*p), hi.max(*p)));
+        let (low, high) = bounds(meshes);
         let low = low.to_array().map(at_most);
         let extent = (high - DVec3::from_array(low.map(f64::from))).max_element();
         let step = if extent > 0.0 { -at_most(-extent / 65_535.0) } else { 1.0 };
-        Self { low, step: step.max(f32::MIN_POSITIVE) }
+        Self { low, step: step.max(f32::MIN_POSITIVE), has_steps: true }
     }
 
-    /// The steps to the nearest place.
+    /// An origin near the vertices, where they are far from their own.
+    pub(super) fn near(meshes: &[&Mesh]) -> Option<Self> {
+        let (low, high) = bounds(meshes);
+        let is_far = low.abs().max(high.abs()).max_element() > FAR * (high - low).max_element();
+        let low = low.midpoint(high).to_array().map(|x| x as f32);
+        is_far.then_some(Self { low, step: 1.0, has_steps: false })
+    }
+
+    /// What is in the file for a position: the steps to the nearest place, or what is left from the origin.
     pub(super) fn steps(&self, p: DVec3) -> [f32; 3] {
         let low = DVec3::from_array(self.low.map(f64::from));
+        if !self.has_steps {
+            return (p - low).as_vec3().to_array();
+        }
         let steps = ((p - low) / f64::from(self.step)).round();
         steps.clamp(DVec3::ZERO, DVec3::splat(65_535.0)).as_vec3().to_array()
     }
@@ -109,7 +129,9 @@ impl Grid {
     /// Brings steps back into the model's space.
     pub(super) fn put_transform(&self, node: &mut Value) {
         node["translation"] = json!(self.low);
-        node["scale"] = json!([self.step, self.step, self.step]);
+        if self.has_steps {
+            node["scale"] = json!([self.step, self.step, self.step]);
+        }
     }
 }
 

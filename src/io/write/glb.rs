@@ -118,7 +118,7 @@ impl Builder {
         let GlbOptions { quantize, compress } = store.options;
         let used = [(QUANTIZATION, quantize), (MESHOPT, compress)];
         let mut file = Self {
-            grid: quantize.then(|| Grid::of(meshes)),
+            grid: if quantize { Some(Grid::of(meshes)) } else { Grid::near(meshes) },
             store,
             meshes: Vec::new(),
             nodes: Vec::new(),

@@ -1,8 +1,8 @@
 //! The nodes of a GLB: the tree that the mesh came with, as far as it leads to triangles.
 //!
 //! Geometry is in world space and nodes do not move it, so that positions are those of the mesh,
-//! rounded once, and parts that touch go on to touch. (Quantized, they are steps of one grid, which
-//! the nodes at the top bring back.) Joints, and what is above them, do have transforms and are in the file once
+//! rounded once, and parts that touch go on to touch. (Quantized, they are steps of one grid, and of a model far from the
+//! origin they begin nearby; the nodes at the top bring both back.) Joints, and what is above them, do have transforms and are in the file once
 //! (`skins`); parts below them are at the top.
 
 use serde_json::{Value, json};

@@ -64,7 +64,7 @@ impl Store {
         Ok(self.push_accessor(accessor))
     }
 
-    /// On the grid, if there is one.
+    /// On the grid, or from its origin, if there is one.
     pub(super) fn positions(
         &mut self,
         mesh: &Mesh,
@@ -80,7 +80,7 @@ impl Store {
         let (min, max) =
             positions.iter().fold((first, first), |(lo, hi), p| (lo.min(*p), hi.max(*p)));
         let values: Vec<f32> = positions.iter().flat_map(Vec3::to_array).collect();
-        let number = if grid.is_some() { &STEPS } else { &FLOAT };
+        let number = if self.options.quantize { &STEPS } else { &FLOAT };
         let mut accessor = self.accessor(&values, 3, number)?;
         accessor["min"] = json!(min.to_array());
         accessor["max"] = json!(max.to_array());
