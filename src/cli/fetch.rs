@@ -1,6 +1,9 @@
 //! `lookalike fetch`: the results of a job into a folder.
 
-use std::path::{Path, PathBuf};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
 
 use clap::Args;
 
@@ -43,10 +46,33 @@ pub(crate) async fn fetch_all(remote: &Remote, job: &str, folder: &Path) -> Resu
     Ok(())
 }
 
-/// Creates the folder for results.
+/// Creates the folder for results, and finds out whether files can be made in it: later would be too late.
 pub(crate) fn make_folder(folder: &Path) -> Result<(), Failure> {
-    std::fs::create_dir_all(folder).map_err(|error| {
+    let trial = folder.join(format!(".lookalike-{}", uuid::Uuid::new_v4().simple()));
+    let tried = fs::create_dir_all(folder)
+        .and_then(|()| fs::File::create_new(&trial))
+        .and_then(|_| fs::remove_file(&trial));
+    tried.map_err(|error| {
         let text = format!("{}: {error}; choose another --out", folder.display());
         Failure::new(Exit::Usage, text)
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_in_which_nothing_can_be_made_is_noticed() {
+        let parent = tempfile::tempdir().unwrap();
+        let folder = parent.path().join("not/there");
+        for _ in 0..2 {
+            assert!(make_folder(&folder).is_ok());
+        }
+        assert_eq!(fs::read_dir(&folder).unwrap().count(), 0);
+        // It exists, and not even root can make a file in it.
+        let failure = make_folder(Path::new("/proc")).unwrap_err();
+        assert_eq!(failure.exit, Exit::Usage);
+        assert!(failure.error.to_string().ends_with("choose another --out"), "{failure:?}");
+    }
 }

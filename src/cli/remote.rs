@@ -223,9 +223,7 @@ impl Remote {
             return Err(Failure::new(Exit::Failed, text));
         }
         let (path, part) = (folder.join(file), folder.join(format!(".{file}.part")));
-        let fault = |error: std::io::Error| {
-            Failure::new(Exit::Failed, format!("{}: {error}; free some space", part.display()))
-        };
+        let fault = |error: std::io::Error| unwritable(&part, &artifact.name, &error);
         let mut out = tokio::fs::File::create(&part).await.map_err(fault)?;
         self.copy(artifact, &mut out, fault).await?;
         tokio::fs::rename(&part, &path).await.map_err(fault)
@@ -321,6 +319,21 @@ pub(crate) fn job_name(text: &str) -> String {
     if text.starts_with("jobs/") { text.into() } else { format!("jobs/{text}") }
 }
 
+/// An artifact cannot be written to a file; it stays where it is.
+fn unwritable(file: &Path, artifact: &str, error: &std::io::Error) -> Failure {
+    use std::io::ErrorKind::{QuotaExceeded, StorageFull};
+    let job = artifact.split("/artifacts/").next().unwrap_or_default();
+    let mend = match error.kind() {
+        StorageFull | QuotaExceeded => "free some space",
+        _ => "choose another --out",
+    };
+    let file = file.display();
+    let text = format!(
+        "{file}: {error}; {mend}: results stay at the server, `lookalike fetch {job} --out DIR`"
+    );
+    Failure::new(Exit::Failed, text)
+}
+
 /// What the server holds of an upload that has a name.
 async fn held(client: &mut Client, header: &v1::UploadMeshHeader) -> Result<u64, Status> {
     if header.upload_id.is_empty() {
@@ -350,4 +363,26 @@ fn upload_parts(
         .map(move |i| Part::Chunk(bytes.slice(i * CHUNK..bytes.len().min((i + 1) * CHUNK))));
     let parts = std::iter::once(Part::Header(header)).chain(chunks);
     parts.map(|part| v1::UploadMeshRequest { part: Some(part) })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{Error, ErrorKind};
+
+    use super::*;
+
+    #[test]
+    fn whoever_cannot_write_learns_what_to_do() {
+        for (kind, mend) in [
+            (ErrorKind::StorageFull, "free some space"),
+            (ErrorKind::QuotaExceeded, "free some space"),
+            (ErrorKind::PermissionDenied, "choose another --out"),
+        ] {
+            let failure =
+                unwritable(Path::new("out/.a.part"), "jobs/7/artifacts/a", &Error::from(kind));
+            let text = failure.error.to_string();
+            assert!(text.contains(mend), "{text}");
+            assert!(text.ends_with("`lookalike fetch jobs/7 --out DIR`"), "{text}");
+        }
+    }
 }
