@@ -126,6 +126,14 @@ fn failures_have_their_exit_codes() {
     let failed = server.run("submit", &[&empty, "--out", &out, "--triangles=5"]);
     assert_eq!(failed.status.code(), Some(1), "{failed:?}");
     assert!(text(&failed.stderr).contains("failed"), "{failed:?}");
+    let jobs = text(&server.run("jobs", &["--json"]).stdout);
+    let job: serde_json::Value = serde_json::from_str(jobs.trim()).unwrap();
+    let nothing = server.dir.path().join("nothing");
+    let fetch = ["--out", nothing.to_str().unwrap()];
+    let fetched = server.run("fetch", &[&[job["name"].as_str().unwrap()], &fetch[..]].concat());
+    assert_eq!(fetched.status.code(), Some(1), "{fetched:?}");
+    assert!(text(&fetched.stderr).contains("lookalike retry jobs/"), "{fetched:?}");
+    assert!(!nothing.exists());
     let [nobody] = free_ports();
     let nobody = format!("http://{nobody}");
     for flags in [["jobs"].as_slice(), &["watch", "1"], &["cancel", "1"]] {
@@ -156,7 +164,12 @@ async fn requests_with_a_name_of_their_own_can_be_repeated() {
     let file = server.file("torus.ply", &small_torus());
     let flags = [&[&*file, "--no-wait", "--request-id=mine"], &JOB[..]].concat();
     let first = text(&server.run("submit", &flags).stdout);
-    assert_eq!(text(&server.run("submit", &flags).stdout), first);
+    let out = server.dir.path().join("later");
+    let again = [&flags[..], &["--out", out.to_str().unwrap()]].concat();
+    let again = server.run("submit", &again);
+    assert_eq!(text(&again.stdout), first);
+    let then = format!("then: lookalike fetch {} --out {}\n", first.trim(), out.display());
+    assert!(text(&again.stderr).ends_with(&then) && !out.exists(), "{again:?}");
     let mut client = server.client();
     assert!(state(&job(&mut client, first.trim()).await) != State::Failed);
     assert_eq!(text(&server.run("jobs", &[]).stdout).lines().count(), 1);
