@@ -17,7 +17,8 @@ pub(crate) struct Bar {
 impl Bar {
     pub(crate) fn new() -> Self {
         let bar = ProgressBar::new(STEPS);
-        let style = "{elapsed_precise} {bar:40} {percent:>3}% {msg}";
+        // A message that would wrap at the terminal's edge is cut: of lines that wrap, parts stay on the screen.
+        let style = "{elapsed_precise} {bar:16} {percent:>3}% {wide_msg}";
         if let Ok(style) = ProgressStyle::with_template(style) {
             bar.set_style(style);
         }

@@ -62,11 +62,11 @@ pub(crate) async fn here(
     make_folder(&args.out)?;
     let (out, device) = (args.out, DeviceChoice(args.device));
     let mut work = tokio::task::spawn_blocking(move || {
-        let mut bar = Bar::new();
+        let (mut bar, mut written) = (Bar::new(), Vec::new());
         let mut on = |report: Report| {
             bar.report(&report);
-            if let Report::Artifact { name, .. } = &report {
-                show::print(&format!("{}\n", out.join(name).display()));
+            if let Report::Artifact { name, .. } = report {
+                written.push(name);
             }
             if STOP.load(Ordering::Relaxed) {
                 ControlFlow::Break(())
@@ -77,7 +77,11 @@ pub(crate) async fn here(
         let inputs =
             Inputs { original: model(&original), simplified: simplified.as_ref().map(model) };
         let result = pipeline::run(&spec, &inputs, &out, (&device, &Tape::off()), &mut on);
+        // What is printed below a living bar is wiped away with it.
         bar.finish();
+        for name in &written {
+            show::print(&format!("{}\n", out.join(name).display()));
+        }
         result
     });
     let result = tokio::select! {
