@@ -1,15 +1,19 @@
 //! `lookalike fetch`: the results of a job into a folder.
 
 use std::{
-    fs,
+    fs, iter,
     path::{Path, PathBuf},
 };
 
 use clap::Args;
-use lookalike::{jobs::state::State, service::proto::v1};
+use lookalike::{
+    jobs::state::State,
+    service::{convert, proto::v1},
+};
 
 use super::{
     exit::{Exit, Failure},
+    leftovers,
     remote::{Remote, ServerArgs},
     show,
 };
@@ -39,11 +43,16 @@ pub(crate) async fn fetch_all(remote: &Remote, job: &str, folder: &Path) -> Resu
         return Err(nothing_of(&job));
     }
     make_folder(folder)?;
+    let mut written = Vec::new();
     for artifact in artifacts {
         remote.fetch(&artifact, folder).await?;
         let file = artifact.name.rsplit('/').next().unwrap_or_default();
         show::print(&format!("{}\n", folder.join(file).display()));
+        written.push(file.to_owned());
     }
+    let simplified = convert::spec_from_wire(job.spec).0.simplified;
+    let inputs = iter::once(job.file_name).chain(simplified.map(|input| input.file_name));
+    leftovers::remove(folder, &written, &inputs.collect::<Vec<_>>());
     Ok(())
 }
 
@@ -87,8 +96,6 @@ pub(crate) fn make_folder(folder: &Path) -> Result<(), Failure> {
 
 #[cfg(test)]
 mod tests {
-    use lookalike::service::convert;
-
     use super::*;
 
     #[test]

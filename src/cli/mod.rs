@@ -11,6 +11,7 @@ mod extract;
 mod fetch;
 mod job_args;
 mod jobs;
+mod leftovers;
 mod optimize;
 mod optimize_args;
 mod output_args;

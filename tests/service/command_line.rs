@@ -49,10 +49,14 @@ fn submit_and_run_leave_the_same_files() {
     assert_eq!(text(&tail.stdout).lines().count(), events.len() - 3);
 
     let again = server.dir.path().join("again");
+    // As an earlier job with more levels would leave it.
+    fs::create_dir(&again).unwrap();
+    fs::write(again.join("lod-7.glb"), b"earlier").unwrap();
     let id = name.strip_prefix("jobs/").unwrap();
     let fetched = server.run("fetch", &[id, "--out", &again.display().to_string()]);
     assert!(fetched.status.success(), "{fetched:?}");
     assert_eq!(results(&again), reference);
+    assert!(text(&fetched.stderr).contains("removed: lod-7.glb"), "{fetched:?}");
     assert!(server.run("delete", &[id]).status.success());
     assert_eq!(server.run("delete", &[id]).status.code(), Some(1));
 }
