@@ -16,6 +16,7 @@ mod optimize;
 mod optimize_args;
 mod output_args;
 mod picture_args;
+mod quiet;
 mod remote;
 mod run;
 mod sample;
@@ -96,6 +97,9 @@ pub(crate) async fn run() -> ExitCode {
         Settings::gather(&root, std::env::args_os().collect(), |name| std::env::var_os(name));
     match Cli::try_parse_from(&settings.argv) {
         Ok(cli) if settings.faults.is_empty() => {
+            if cli.command.opens_devices() {
+                quiet::start_over();
+            }
             init_logs(&cli.command);
             let ran = if cli.command.shows_settings() {
                 cli.command.check().map(|()| show::print(&settings.show(&root)))
@@ -110,6 +114,11 @@ pub(crate) async fn run() -> ExitCode {
 }
 
 impl Command {
+    /// Looks for devices in this process.
+    fn opens_devices(&self) -> bool {
+        matches!(self, Self::Run(_) | Self::Optimize(_) | Self::Worker(_) | Self::Doctor(_))
+    }
+
     /// Only the settings are asked for.
     fn shows_settings(&self) -> bool {
         match self {
