@@ -14,6 +14,7 @@ mod jobs;
 mod leftovers;
 mod optimize;
 mod optimize_args;
+mod out_file;
 mod output_args;
 mod picture_args;
 mod quiet;
