@@ -3,6 +3,8 @@
 use indicatif::{ProgressBar, ProgressStyle};
 use lookalike::jobs::event::{Body, Report, ServerEvent};
 
+use super::remote::Heard;
+
 /// Steps of a whole bar.
 const STEPS: u64 = 1000;
 
@@ -25,8 +27,15 @@ impl Bar {
         Self { progress: bar, stage: String::new(), curve: String::new() }
     }
 
-    /// What the log says next.
-    pub(crate) fn event(&mut self, body: &Body) {
+    /// What following a log hears next.
+    pub(crate) fn heard(&mut self, heard: Heard<'_>) {
+        match heard {
+            Heard::Entry(event) => self.event(&event.body),
+            Heard::Silence(text) => self.line(text),
+        }
+    }
+
+    fn event(&mut self, body: &Body) {
         match body {
             Body::Worker(report) => self.report(report),
             Body::Server(ServerEvent::StateChanged { state, text, .. }) => {

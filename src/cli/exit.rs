@@ -41,6 +41,14 @@ impl Failure {
         Self::new(Exit::Usage, faults.join("\n"))
     }
 
+    /// Adds what to do once a server answers; other failures stay as they are.
+    pub(crate) fn then(self, text: &str) -> Self {
+        if self.exit != Exit::Unreachable {
+            return self;
+        }
+        Self::new(self.exit, format!("{:#}; {text}", self.error))
+    }
+
     /// Adds to faults of settings where these were set.
     pub(crate) fn at(self, settings: &Settings) -> Self {
         if self.exit != Exit::Usage {

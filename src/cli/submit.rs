@@ -134,7 +134,7 @@ pub(crate) async fn wait(remote: &Remote, job: &str) -> Result<(), Failure> {
     bar.line(&format!("{job} created"));
     let mut cancelled = false;
     let end = {
-        let mut follow = std::pin::pin!(remote.follow(job, 0, |event| bar.event(&event.body)));
+        let mut follow = std::pin::pin!(remote.follow(job, 0, |heard| bar.heard(heard)));
         loop {
             tokio::select! {
                 end = &mut follow => break end,
