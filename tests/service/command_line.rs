@@ -57,7 +57,15 @@ fn submit_and_run_leave_the_same_files() {
     assert!(fetched.status.success(), "{fetched:?}");
     assert_eq!(results(&again), reference);
     assert!(text(&fetched.stderr).contains("removed: lod-7.glb"), "{fetched:?}");
-    assert!(server.run("delete", &[id]).status.success());
+    assert_eq!(
+        text(&server.run("pin", &[id]).stdout),
+        format!("{name} is pinned: its results are kept\n")
+    );
+    let unpinned = server.run("pin", &[id, "--undo"]);
+    assert_eq!(text(&unpinned.stdout), format!("{name} is not pinned any more\n"));
+    let deleted = server.run("delete", &[id]);
+    assert!(deleted.status.success());
+    assert_eq!(text(&deleted.stdout), format!("{name} is deleted\n"));
     assert_eq!(server.run("delete", &[id]).status.code(), Some(1));
 }
 
