@@ -15,7 +15,7 @@ use super::{
     exit::{Exit, Failure},
     leftovers,
     remote::{Remote, ServerArgs},
-    show,
+    show, summary,
 };
 
 /// Flags of `lookalike fetch`.
@@ -53,6 +53,7 @@ pub(crate) async fn fetch_all(remote: &Remote, job: &str, folder: &Path) -> Resu
     let simplified = convert::spec_from_wire(job.spec).0.simplified;
     let inputs = iter::once(job.file_name).chain(simplified.map(|input| input.file_name));
     leftovers::remove(folder, &written, &inputs.collect::<Vec<_>>());
+    summary::tell(folder, &written);
     Ok(())
 }
 

@@ -25,6 +25,7 @@ mod serve;
 mod show;
 mod signals;
 mod submit;
+mod summary;
 mod token;
 mod watch;
 mod worker;

@@ -21,6 +21,7 @@ use super::{
     job_args::JobArgs,
     leftovers, show, signals,
     submit::{file_name, read_input},
+    summary,
 };
 
 /// Flags of `lookalike run`.
@@ -114,6 +115,7 @@ fn work(
     if result.is_ok() {
         let inputs = iter::once(original).chain(simplified).map(|(name, _)| name);
         leftovers::remove(out, &written, &inputs.collect::<Vec<_>>());
+        summary::tell(out, &written);
     }
     result
 }

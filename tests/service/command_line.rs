@@ -32,6 +32,9 @@ fn submit_and_run_leave_the_same_files() {
         assert!(listed.lines().any(|line| line.ends_with(file)), "{listed}");
     }
 
+    let said = text(&output.stderr);
+    assert!(said.lines().any(|line| line.starts_with("lod-1.glb: 200 triangles")), "{said}");
+
     let jobs = text(&server.run("jobs", &["--json", "--state=succeeded"]).stdout);
     let job: serde_json::Value = serde_json::from_str(jobs.trim()).unwrap();
     assert_eq!(job["state"], "SUCCEEDED");
