@@ -3,6 +3,8 @@
 use indicatif::{ProgressBar, ProgressStyle};
 use lookalike::jobs::event::{Body, Report, ServerEvent};
 
+use super::remote::Heard;
+
 /// Steps of a whole bar.
 const STEPS: u64 = 1000;
 
@@ -17,15 +19,23 @@ pub(crate) struct Bar {
 impl Bar {
     pub(crate) fn new() -> Self {
         let bar = ProgressBar::new(STEPS);
-        let style = "{elapsed_precise} {bar:40} {percent:>3}% {msg}";
+        // A message that would wrap at the terminal's edge is cut: of lines that wrap, parts stay on the screen.
+        let style = "{elapsed_precise} {bar:16} {percent:>3}% {wide_msg}";
         if let Ok(style) = ProgressStyle::with_template(style) {
             bar.set_style(style);
         }
         Self { progress: bar, stage: String::new(), curve: String::new() }
     }
 
-    /// What the log says next.
-    pub(crate) fn event(&mut self, body: &Body) {
+    /// What following a log hears next.
+    pub(crate) fn heard(&mut self, heard: Heard<'_>) {
+        match heard {
+            Heard::Entry(event) => self.event(&event.body),
+            Heard::Silence(text) => self.line(text),
+        }
+    }
+
+    fn event(&mut self, body: &Body) {
         match body {
             Body::Worker(report) => self.report(report),
             Body::Server(ServerEvent::StateChanged { state, text, .. }) => {

@@ -16,6 +16,7 @@ use uuid::Uuid;
 use super::{
     exit::{Exit, Failure},
     job_args::word,
+    out_file::{png_file, write_file},
     remote::{Remote, ServerArgs},
     show,
     submit::{create, file_name, read_input, wait},
@@ -37,8 +38,8 @@ pub(crate) struct CompareArgs {
     /// One JSON object instead of text; of several meshes, an array of them.
     #[arg(long)]
     json: bool,
-    /// Also draw a contact sheet: original, simplified, difference; several side by side.
-    #[arg(long, value_name = "PNG")]
+    /// Also draw a contact sheet: original, simplified, difference; several side by side. A .png file.
+    #[arg(long, value_name = "PNG", value_parser = png_file())]
     sheet: Option<PathBuf>,
     /// Flat or smooth (Gouraud) shading.
     #[arg(long, default_value = "flat", value_parser = word::<Shading>(&["flat", "smooth"]))]
@@ -173,24 +174,4 @@ pub(crate) fn read_mesh(path: &Path) -> Result<Mesh, Failure> {
     let bytes = read_input(path)?;
     let ingest = io::read(&file_name(path), &bytes, &io::Limits::default());
     ingest.map(|i| i.mesh).map_err(|e| Failure::new(Exit::Failed, e.to_string()))
-}
-
-/// Writes a result.
-pub(crate) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
-    std::fs::write(path, bytes).map_err(|e| {
-        let text = format!("{} cannot be written ({e}): choose another place", path.display());
-        Failure::new(Exit::Failed, text)
-    })
-}
-
-/// Writes a mesh in the format that the extension names: .ply, .obj, else GLB.
-pub(crate) fn write_mesh(path: &Path, mesh: &Mesh, options: io::GlbOptions) -> Result<(), Failure> {
-    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
-    let fault = |e: io::IoError| Failure::new(Exit::Failed, e.to_string());
-    let bytes = match extension {
-        "ply" => io::write_ply(mesh, io::PlyPositions::Double).map_err(fault)?,
-        "obj" => io::write_obj(mesh).map_err(fault)?,
-        _ => io::write_glb_with(mesh, options).map_err(fault)?,
-    };
-    write_file(path, &bytes)
 }

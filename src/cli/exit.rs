@@ -41,6 +41,14 @@ impl Failure {
         Self::new(Exit::Usage, faults.join("\n"))
     }
 
+    /// Adds what to do once a server answers; other failures stay as they are.
+    pub(crate) fn then(self, text: &str) -> Self {
+        if self.exit != Exit::Unreachable {
+            return self;
+        }
+        Self::new(self.exit, format!("{:#}; {text}", self.error))
+    }
+
     /// Adds to faults of settings where these were set.
     pub(crate) fn at(self, settings: &Settings) -> Self {
         if self.exit != Exit::Usage {
@@ -73,7 +81,7 @@ pub(crate) fn refused(url: &str, status: &Status) -> Failure {
             |fault: &lookalike::jobs::spec::Fault| format!("{}: {}", fault.field, fault.text);
         return Failure::faults(&faults.iter().map(line).collect::<Vec<_>>());
     }
-    if is_transient(status) {
+    if is_transient(status) || stranger(status.message()).is_some() {
         return unreachable(url, status.message());
     }
     Failure::new(Exit::Failed, status.message())
@@ -81,11 +89,27 @@ pub(crate) fn refused(url: &str, status: &Status) -> Failure {
 
 /// No server answers at `url`.
 pub(crate) fn unreachable(url: &str, why: &str) -> Failure {
-    let text = format!(
-        "no server answers at {url} ({why}): start one with `lookalike serve --data-dir DIR`, or name \
-         another with --server"
+    let mend = stranger(why).unwrap_or(
+        "start one with `lookalike serve --data-dir DIR`, or name another with --server",
     );
-    Failure::new(Exit::Unreachable, text)
+    Failure::new(Exit::Unreachable, format!("no server answers at {url} ({why}): {mend}"))
+}
+
+/// What shows that something else answers than was called, and what to do.
+const STRANGERS: [(&str, &str); 2] = [
+    (
+        "mapped from HTTP status code 404",
+        "this port does not speak gRPC; name with --server the address at which `lookalike serve` says that it \
+         listens, not that of its metrics",
+    ),
+    (
+        "InvalidContentType",
+        "what listens there speaks no TLS; name it with http:// instead of https://",
+    ),
+];
+
+fn stranger(why: &str) -> Option<&'static str> {
+    STRANGERS.iter().find(|(sign, _)| why.contains(*sign)).map(|(_, mend)| *mend)
 }
 
 #[cfg(test)]
@@ -98,6 +122,12 @@ mod tests {
         let url = "http://127.0.0.1:1";
         assert_eq!(refused(url, &Status::unavailable("refused")).exit, Exit::Unreachable);
         assert_eq!(refused(url, &status::invalid("name", "wrong")).exit, Exit::Usage);
+        let elsewhere = "grpc-status header missing, mapped from HTTP status code 404";
+        let elsewhere = refused(url, &Status::unimplemented(elsewhere));
+        assert_eq!(elsewhere.exit, Exit::Unreachable);
+        assert!(elsewhere.error.to_string().contains("does not speak gRPC"), "{elsewhere:?}");
+        let no_tls = unreachable(url, "received corrupt message of type InvalidContentType");
+        assert!(no_tls.error.to_string().contains("http:// instead"), "{no_tls:?}");
         let missing = lookalike::jobs::error::Error::NotFound("jobs/1".into());
         assert_eq!(refused(url, &status::status_of(&missing)).exit, Exit::Failed);
     }

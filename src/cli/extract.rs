@@ -9,8 +9,8 @@ use lookalike::{
 };
 
 use super::{
-    compare::write_mesh,
     exit::{Exit, Failure},
+    out_file::{MeshFile, mesh_file},
     output_args::OutputArgs,
     show,
     submit::read_input,
@@ -34,13 +34,14 @@ pub(crate) struct ExtractArgs {
     #[arg(long)]
     list: bool,
     /// Where to write it: .glb, .ply or .obj.
-    #[arg(long, value_name = "FILE", default_value = "level.glb")]
-    out: PathBuf,
+    #[arg(long, value_name = "FILE", default_value = "level.glb", value_parser = mesh_file())]
+    out: MeshFile,
     #[command(flatten)]
     output: OutputArgs,
 }
 
 pub(crate) fn run(args: &ExtractArgs) -> Result<(), Failure> {
+    args.out.check(args.output.glb_options())?;
     let bytes = read_input(&args.file)?;
     let fault =
         |e: ProgressiveError| Failure::new(Exit::Failed, format!("{}: {e}", args.file.display()));
@@ -57,8 +58,8 @@ pub(crate) fn run(args: &ExtractArgs) -> Result<(), Failure> {
         );
         return Err(Failure::new(Exit::Usage, text));
     };
-    write_mesh(&args.out, &mesh, args.output.glb_options())?;
-    let (out, n) = (args.out.display(), mesh.faces.len());
+    args.out.write(&mesh, args.output.glb_options())?;
+    let (out, n) = (args.out.path.display(), mesh.faces.len());
     show::print(&format!("{out}: {n} triangles, {what}\n"));
     Ok(())
 }

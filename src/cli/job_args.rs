@@ -3,7 +3,7 @@
 use std::{fmt::Display, str::FromStr};
 
 use clap::{
-    Args,
+    ArgGroup, Args,
     builder::{PossibleValuesParser, TypedValueParser},
 };
 use lookalike::jobs::spec::{Effort, Fault, Lock, Method, Spec, Topology};
@@ -13,19 +13,18 @@ use super::{
     exit::Failure, optimize_args::OptimizeArgs, output_args::OutputArgs, picture_args::PictureArgs,
 };
 
+/// What a level may go by; there must be one of them.
+const TARGETS: [&str; 5] = ["triangles", "ratio", "max_d2", "screen_size", "max_bytes"];
+
 /// What to make of a mesh.
 #[derive(Args, Clone, Debug)]
+#[command(group(ArgGroup::new("targets").args(TARGETS).required(true).multiple(true)))]
 pub(crate) struct JobArgs {
     /// Triangles of each level of detail, separated by commas.
-    #[arg(
-        long,
-        required_unless_present_any = ["ratio", "max_d2", "screen_size", "max_bytes"],
-        value_delimiter = ',',
-        value_name = "N"
-    )]
+    #[arg(long, value_delimiter = ',', value_name = "N")]
     triangles: Vec<u32>,
     /// The same as shares of the model's triangles, such as 0.25,0.1.
-    #[arg(long, value_delimiter = ',', value_name = "SHARE")]
+    #[arg(long, value_delimiter = ',', value_parser = share, value_name = "SHARE")]
     ratio: Vec<f64>,
     /// How the levels are made: by what they look like, by geometry alone, or by vertex clustering
     /// (crude; one level).
@@ -145,6 +144,10 @@ impl JobArgs {
     }
 }
 
+fn share(text: &str) -> Result<f64, String> {
+    text.parse::<f64>().map_err(|_| "use a share such as 0.1, which is 10 %".into())
+}
+
 /// A number; `auto` is 0, which no such flag takes otherwise.
 pub(crate) fn automatic<T: FromStr<Err: Display> + Default + PartialEq>(
     text: &str,
@@ -209,7 +212,17 @@ mod tests {
     #[test]
     fn shares_stand_in_for_triangles() {
         assert_eq!(spec(&["--ratio=0.25,0.1"]).unwrap().ratios, [0.25, 0.1]);
-        assert!(Probe::try_parse_from(["probe"]).is_err());
+        let refusal = |flags: &[&str]| {
+            let parsed = Probe::try_parse_from([&["probe"], flags].concat());
+            parsed.err().map(|error| error.to_string()).unwrap_or_default()
+        };
+        let text = refusal(&["--ratio=10%"]);
+        assert!(text.contains("use a share such as 0.1"), "{text}");
+        // Whoever names no target learns of all of them.
+        let text = refusal(&[]);
+        for flag in ["--triangles", "--ratio", "--max-d2", "--screen-size", "--max-bytes"] {
+            assert!(text.contains(flag), "{text}");
+        }
         let text = spec(&["--triangles=9", "--ratio=0.5,1"]).unwrap_err().error.to_string();
         assert!(text.lines().any(|line| line.starts_with("--ratio, number 2: ")), "{text}");
         assert!(text.lines().any(|line| line.starts_with("--ratio: ")), "{text}");

@@ -150,7 +150,11 @@ pub(crate) async fn pin(args: PinArgs) -> Result<(), Failure> {
         let request = request.clone();
         async move { client.pin_job(request).await }
     });
-    answer.await.map(|_| ())
+    let job = remote.present(answer.await?.job)?;
+    let what =
+        if job.pinned { "is pinned: its results are kept" } else { "is not pinned any more" };
+    print(&format!("{} {what}\n", job.name));
+    Ok(())
 }
 
 pub(crate) async fn delete(args: DeleteArgs) -> Result<(), Failure> {
@@ -160,5 +164,7 @@ pub(crate) async fn delete(args: DeleteArgs) -> Result<(), Failure> {
         let request = request.clone();
         async move { client.delete_job(request).await }
     });
-    answer.await.map(|_| ())
+    answer.await?;
+    print(&format!("{} is deleted\n", job_name(&args.job)));
+    Ok(())
 }

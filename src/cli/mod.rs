@@ -11,10 +11,13 @@ mod extract;
 mod fetch;
 mod job_args;
 mod jobs;
+mod leftovers;
 mod optimize;
 mod optimize_args;
+mod out_file;
 mod output_args;
 mod picture_args;
+mod quiet;
 mod remote;
 mod run;
 mod sample;
@@ -22,6 +25,7 @@ mod serve;
 mod show;
 mod signals;
 mod submit;
+mod summary;
 mod token;
 mod watch;
 mod worker;
@@ -95,6 +99,9 @@ pub(crate) async fn run() -> ExitCode {
         Settings::gather(&root, std::env::args_os().collect(), |name| std::env::var_os(name));
     match Cli::try_parse_from(&settings.argv) {
         Ok(cli) if settings.faults.is_empty() => {
+            if cli.command.opens_devices() {
+                quiet::start_over();
+            }
             init_logs(&cli.command);
             let ran = if cli.command.shows_settings() {
                 cli.command.check().map(|()| show::print(&settings.show(&root)))
@@ -109,6 +116,11 @@ pub(crate) async fn run() -> ExitCode {
 }
 
 impl Command {
+    /// Looks for devices in this process.
+    fn opens_devices(&self) -> bool {
+        matches!(self, Self::Run(_) | Self::Optimize(_) | Self::Worker(_) | Self::Doctor(_))
+    }
+
     /// Only the settings are asked for.
     fn shows_settings(&self) -> bool {
         match self {

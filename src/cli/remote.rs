@@ -106,7 +106,7 @@ impl Remote {
         loop {
             match call(self.client.clone()).await {
                 Ok(answer) => return Ok(answer.into_inner()),
-                Err(status) => patience.after(status).await?,
+                Err(status) => patience.after(status, say).await?,
             }
         }
     }
@@ -118,17 +118,17 @@ impl Remote {
         // What is small is sent as a whole.
         let upload_id = (size > CHUNK as u64).then(|| Uuid::new_v4().simple().to_string());
         let upload_id = upload_id.unwrap_or_default();
-        let header = v1::UploadMeshHeader { size, blake3, upload_id, offset: 0 };
-        let answer = self.call(|mut client| {
-            let (mut header, bytes) = (header.clone(), bytes.clone());
-            async move {
-                header.offset = held(&mut client, &header).await?;
-                let rest = bytes.slice(header.offset as usize..);
-                let parts = upload_parts(header, rest);
-                client.upload_mesh(stream::iter(parts)).await.map_err(asked_again)
+        let mut header = v1::UploadMeshHeader { size, blake3, upload_id, offset: 0 };
+        let mut patience = Patience::new(self);
+        loop {
+            match send(&mut self.client.clone(), &mut header, &bytes).await {
+                Ok(answer) => return Ok(answer.into_inner().mesh),
+                Err(status) => {
+                    patience.reached(header.offset);
+                    patience.after(status, say).await?;
+                }
             }
-        });
-        Ok(answer.await?.mesh)
+        }
     }
 
     /// One job.
@@ -163,7 +163,7 @@ impl Remote {
         &self,
         name: &str,
         mut after_seq: u64,
-        mut on: impl FnMut(Event),
+        mut on: impl FnMut(Heard<'_>),
     ) -> Result<(), Failure> {
         let name = job_name(name);
         let mut patience = Patience::new(self);
@@ -182,13 +182,16 @@ impl Remote {
                                 patience.reset();
                                 after_seq = event.seq;
                                 // Entries of a newer server that we do not know are skipped.
-                                convert::event_from_wire(event).map(&mut on);
+                                if let Some(event) = convert::event_from_wire(event) {
+                                    on(Heard::Entry(&event));
+                                }
                             }
                         }
                     }
                 }
             };
-            patience.after(status).await?;
+            let waited = patience.after(status, |text| on(Heard::Silence(text))).await;
+            waited.map_err(|failure| failure.then(&go_on(&name, after_seq)))?;
         }
     }
 
@@ -223,9 +226,7 @@ impl Remote {
             return Err(Failure::new(Exit::Failed, text));
         }
         let (path, part) = (folder.join(file), folder.join(format!(".{file}.part")));
-        let fault = |error: std::io::Error| {
-            Failure::new(Exit::Failed, format!("{}: {error}; free some space", part.display()))
-        };
+        let fault = |error: std::io::Error| unwritable(&part, &artifact.name, &error);
         let mut out = tokio::fs::File::create(&part).await.map_err(fault)?;
         self.copy(artifact, &mut out, fault).await?;
         tokio::fs::rename(&part, &path).await.map_err(fault)
@@ -251,7 +252,8 @@ impl Remote {
         let mut hasher = blake3::Hasher::new();
         let mut patience = Patience::new(self);
         while let Err(status) = self.read(artifact, out, &mut hasher).await.map_err(&fault)? {
-            patience.after(status).await?;
+            patience.reached(hasher.count());
+            patience.after(status, say).await?;
         }
         out.flush().await.map_err(&fault)?;
         if hasher.finalize().to_hex().as_str() != artifact.blake3 {
@@ -288,16 +290,26 @@ impl Remote {
     }
 }
 
+/// What following a log hears.
+#[derive(Debug)]
+pub(crate) enum Heard<'a> {
+    /// An entry of the log.
+    Entry(&'a Event),
+    /// The server is away for now, in words.
+    Silence(&'a str),
+}
+
 /// How long a server may be away.
 struct Patience<'a> {
     remote: &'a Remote,
     backoff: Backoff,
     silent_since: Option<Instant>,
+    reached: u64,
 }
 
 impl<'a> Patience<'a> {
     fn new(remote: &'a Remote) -> Self {
-        Self { remote, backoff: Backoff::default(), silent_since: None }
+        Self { remote, backoff: Backoff::default(), silent_since: None, reached: 0 }
     }
 
     fn reset(&mut self) {
@@ -305,11 +317,24 @@ impl<'a> Patience<'a> {
         self.silent_since = None;
     }
 
-    /// Waits after a failed call, unless another one is pointless.
-    async fn after(&mut self, status: Status) -> Result<(), Failure> {
+    /// So many bytes have arrived in all. Where they are more than before, the next silence is another one.
+    fn reached(&mut self, n_bytes: u64) {
+        if n_bytes > self.reached {
+            self.reached = n_bytes;
+            self.reset();
+        }
+    }
+
+    /// Waits after a failed call, unless another one is pointless; tells `say` when a silence begins.
+    async fn after(&mut self, status: Status, say: impl FnOnce(&str)) -> Result<(), Failure> {
+        let is_new = self.silent_since.is_none();
         let since = *self.silent_since.get_or_insert_with(Instant::now);
         if !is_transient(&status) || since.elapsed() > PATIENCE {
             return Err(refused(&self.remote.url, &status));
+        }
+        if is_new {
+            let (url, secs) = (&self.remote.url, PATIENCE.as_secs());
+            say(&format!("the server at {url} is away: waiting for up to {secs} s"));
         }
         self.backoff.pause().await;
         Ok(())
@@ -319,6 +344,43 @@ impl<'a> Patience<'a> {
 /// `jobs/{id}`, also from the bare id.
 pub(crate) fn job_name(text: &str) -> String {
     if text.starts_with("jobs/") { text.into() } else { format!("jobs/{text}") }
+}
+
+/// An artifact cannot be written to a file; it stays where it is.
+fn unwritable(file: &Path, artifact: &str, error: &std::io::Error) -> Failure {
+    use std::io::ErrorKind::{QuotaExceeded, StorageFull};
+    let job = artifact.split("/artifacts/").next().unwrap_or_default();
+    let mend = match error.kind() {
+        StorageFull | QuotaExceeded => "free some space",
+        _ => "choose another --out",
+    };
+    let file = file.display();
+    let text = format!(
+        "{file}: {error}; {mend}: results stay at the server, `lookalike fetch {job} --out DIR`"
+    );
+    Failure::new(Exit::Failed, text)
+}
+
+/// Tells the person at the terminal.
+fn say(text: &str) {
+    eprintln!("{text}");
+}
+
+/// How to go on after the server was away for too long.
+fn go_on(job: &str, after_seq: u64) -> String {
+    format!("once it answers, go on with `lookalike watch {job} --after-seq {after_seq}`")
+}
+
+/// Sends of a mesh what the server does not hold; the header says how much it does.
+async fn send(
+    client: &mut Client,
+    header: &mut v1::UploadMeshHeader,
+    bytes: &Bytes,
+) -> Result<Response<v1::UploadMeshResponse>, Status> {
+    header.offset = held(client, header).await?;
+    let rest = bytes.slice(header.offset as usize..);
+    let parts = upload_parts(header.clone(), rest);
+    client.upload_mesh(stream::iter(parts)).await.map_err(asked_again)
 }
 
 /// What the server holds of an upload that has a name.
@@ -350,4 +412,42 @@ fn upload_parts(
         .map(move |i| Part::Chunk(bytes.slice(i * CHUNK..bytes.len().min((i + 1) * CHUNK))));
     let parts = std::iter::once(Part::Header(header)).chain(chunks);
     parts.map(|part| v1::UploadMeshRequest { part: Some(part) })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{Error, ErrorKind};
+
+    use lookalike::service::client;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn a_silence_after_progress_is_another_one() {
+        let connection = client::connection("http://127.0.0.1:1", &Access::default()).unwrap();
+        let remote = Remote { url: "http://127.0.0.1:1".into(), client: Client::new(connection) };
+        let mut patience = Patience::new(&remote);
+        let mut n_said = 0;
+        for n_bytes in [0, 0, 5, 5, 6] {
+            patience.reached(n_bytes);
+            let waited = patience.after(Status::unavailable("away"), |_| n_said += 1).await;
+            assert!(waited.is_ok(), "{waited:?}");
+        }
+        assert_eq!(n_said, 3);
+    }
+
+    #[test]
+    fn whoever_cannot_write_learns_what_to_do() {
+        for (kind, mend) in [
+            (ErrorKind::StorageFull, "free some space"),
+            (ErrorKind::QuotaExceeded, "free some space"),
+            (ErrorKind::PermissionDenied, "choose another --out"),
+        ] {
+            let failure =
+                unwritable(Path::new("out/.a.part"), "jobs/7/artifacts/a", &Error::from(kind));
+            let text = failure.error.to_string();
+            assert!(text.contains(mend), "{text}");
+            assert!(text.ends_with("`lookalike fetch jobs/7 --out DIR`"), "{text}");
+        }
+    }
 }

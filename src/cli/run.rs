@@ -1,6 +1,7 @@
 //! `lookalike run`: a whole job in this process.
 
 use std::{
+    iter,
     ops::ControlFlow,
     path::{Path, PathBuf},
     sync::atomic::{AtomicBool, Ordering},
@@ -18,8 +19,9 @@ use super::{
     exit::{Exit, Failure},
     fetch::make_folder,
     job_args::JobArgs,
-    show, signals,
+    leftovers, show, signals,
     submit::{file_name, read_input},
+    summary,
 };
 
 /// Flags of `lookalike run`.
@@ -61,25 +63,8 @@ pub(crate) async fn here(
     let (original, simplified) = (read(original)?, simplified.map(read).transpose()?);
     make_folder(&args.out)?;
     let (out, device) = (args.out, DeviceChoice(args.device));
-    let mut work = tokio::task::spawn_blocking(move || {
-        let mut bar = Bar::new();
-        let mut on = |report: Report| {
-            bar.report(&report);
-            if let Report::Artifact { name, .. } = &report {
-                show::print(&format!("{}\n", out.join(name).display()));
-            }
-            if STOP.load(Ordering::Relaxed) {
-                ControlFlow::Break(())
-            } else {
-                ControlFlow::Continue(())
-            }
-        };
-        let inputs =
-            Inputs { original: model(&original), simplified: simplified.as_ref().map(model) };
-        let result = pipeline::run(&spec, &inputs, &out, (&device, &Tape::off()), &mut on);
-        bar.finish();
-        result
-    });
+    let mut work =
+        tokio::task::spawn_blocking(move || work(&spec, (original, simplified), &out, &device));
     let result = tokio::select! {
         result = &mut work => result,
         () = signals::asked_to_end() => {
@@ -98,6 +83,43 @@ pub(crate) async fn here(
     })
 }
 
-fn model((name, bytes): &(String, Vec<u8>)) -> ModelFile<'_> {
+/// A file's name and bytes.
+type Named = (String, Vec<u8>);
+
+/// Runs a job, shows how far it is, and tells what it has written.
+fn work(
+    spec: &Spec,
+    (original, simplified): (Named, Option<Named>),
+    out: &Path,
+    device: &DeviceChoice,
+) -> Result<(), PipelineError> {
+    let (mut bar, mut written) = (Bar::new(), Vec::new());
+    let mut on = |report: Report| {
+        bar.report(&report);
+        if let Report::Artifact { name, .. } = report {
+            written.push(name);
+        }
+        if STOP.load(Ordering::Relaxed) {
+            ControlFlow::Break(())
+        } else {
+            ControlFlow::Continue(())
+        }
+    };
+    let inputs = Inputs { original: model(&original), simplified: simplified.as_ref().map(model) };
+    let result = pipeline::run(spec, &inputs, out, (device, &Tape::off()), &mut on);
+    // What is printed below a living bar is wiped away with it.
+    bar.finish();
+    for name in &written {
+        show::print(&format!("{}\n", out.join(name).display()));
+    }
+    if result.is_ok() {
+        let inputs = iter::once(original).chain(simplified).map(|(name, _)| name);
+        leftovers::remove(out, &written, &inputs.collect::<Vec<_>>());
+        summary::tell(out, &written);
+    }
+    result
+}
+
+fn model((name, bytes): &Named) -> ModelFile<'_> {
     ModelFile { name, bytes }
 }

@@ -1,20 +1,23 @@
 //! `lookalike sample`: a model of the project's own to try things on.
 
-use std::path::PathBuf;
-
 use clap::{Args, ValueEnum};
 use lookalike::{
     compare::{sample_mesh, textured_torus},
     io::GlbOptions,
 };
 
-use super::{compare::write_mesh, exit::Failure, show};
+use super::{
+    exit::Failure,
+    out_file::{MeshFile, mesh_file},
+    show,
+};
 
 /// Flags of `lookalike sample`.
 #[derive(Args, Debug)]
 pub(crate) struct SampleArgs {
     /// Where to write it: .glb, .ply or .obj.
-    out: PathBuf,
+    #[arg(value_parser = mesh_file())]
+    out: MeshFile,
     /// A jellyfish of four colours, or a torus with numbers and lines for a texture.
     #[arg(long, value_enum, default_value_t = Model::Jellyfish)]
     model: Model,
@@ -37,7 +40,7 @@ pub(crate) fn run(args: &SampleArgs) -> Result<(), Failure> {
         Model::Jellyfish => sample_mesh(args.seed, args.triangles),
         Model::Torus => textured_torus(),
     };
-    write_mesh(&args.out, &mesh, GlbOptions::default())?;
-    show::print(&format!("{}: {} triangles\n", args.out.display(), mesh.faces.len()));
+    args.out.write(&mesh, GlbOptions::default())?;
+    show::print(&format!("{}: {} triangles\n", args.out.path.display(), mesh.faces.len()));
     Ok(())
 }

@@ -92,7 +92,7 @@ pub(crate) async fn submit(
     let bytes = read_input(original)?;
     let simplified =
         simplified.map(|file| read_input(file).map(|b| (file_name(file), b))).transpose()?;
-    if let Some(out) = request.out.as_deref() {
+    if let (false, Some(out)) = (request.no_wait, request.out.as_deref()) {
         make_folder(out)?;
     }
     let remote = Remote::connect(server).await?;
@@ -114,6 +114,9 @@ pub(crate) async fn submit(
     let job = create(&remote, wanted).await?;
     if request.no_wait {
         show::print(&format!("{}\n", job.name));
+        if let Some(out) = &request.out {
+            eprintln!("then: lookalike fetch {} --out {}", job.name, out.display());
+        }
         return Ok(());
     }
     wait(&remote, &job.name).await?;
@@ -131,7 +134,7 @@ pub(crate) async fn wait(remote: &Remote, job: &str) -> Result<(), Failure> {
     bar.line(&format!("{job} created"));
     let mut cancelled = false;
     let end = {
-        let mut follow = std::pin::pin!(remote.follow(job, 0, |event| bar.event(&event.body)));
+        let mut follow = std::pin::pin!(remote.follow(job, 0, |heard| bar.heard(heard)));
         loop {
             tokio::select! {
                 end = &mut follow => break end,

@@ -6,7 +6,7 @@ use lookalike::jobs::state::State;
 use super::{
     bar::Bar,
     exit::{Exit, Failure},
-    remote::{Remote, ServerArgs},
+    remote::{Heard, Remote, ServerArgs},
     show,
 };
 
@@ -28,11 +28,14 @@ pub(crate) struct WatchArgs {
 pub(crate) async fn run(args: WatchArgs) -> Result<(), Failure> {
     let remote = Remote::connect(&args.server).await?;
     if args.json {
-        let line = |event| show::print_or_end(&format!("{}\n", show::event_json(&event)));
+        let line = |heard: Heard<'_>| match heard {
+            Heard::Entry(event) => show::print_or_end(&format!("{}\n", show::event_json(event))),
+            Heard::Silence(text) => eprintln!("{text}"),
+        };
         remote.follow(&args.job, args.after_seq, line).await?;
     } else {
         let mut bar = Bar::new();
-        let end = remote.follow(&args.job, args.after_seq, |event| bar.event(&event.body)).await;
+        let end = remote.follow(&args.job, args.after_seq, |heard| bar.heard(heard)).await;
         bar.finish();
         end?;
     }

@@ -32,6 +32,9 @@ fn submit_and_run_leave_the_same_files() {
         assert!(listed.lines().any(|line| line.ends_with(file)), "{listed}");
     }
 
+    let said = text(&output.stderr);
+    assert!(said.lines().any(|line| line.starts_with("lod-1.glb: 200 triangles")), "{said}");
+
     let jobs = text(&server.run("jobs", &["--json", "--state=succeeded"]).stdout);
     let job: serde_json::Value = serde_json::from_str(jobs.trim()).unwrap();
     assert_eq!(job["state"], "SUCCEEDED");
@@ -49,11 +52,23 @@ fn submit_and_run_leave_the_same_files() {
     assert_eq!(text(&tail.stdout).lines().count(), events.len() - 3);
 
     let again = server.dir.path().join("again");
+    // As an earlier job with more levels would leave it.
+    fs::create_dir(&again).unwrap();
+    fs::write(again.join("lod-7.glb"), b"earlier").unwrap();
     let id = name.strip_prefix("jobs/").unwrap();
     let fetched = server.run("fetch", &[id, "--out", &again.display().to_string()]);
     assert!(fetched.status.success(), "{fetched:?}");
     assert_eq!(results(&again), reference);
-    assert!(server.run("delete", &[id]).status.success());
+    assert!(text(&fetched.stderr).contains("removed: lod-7.glb"), "{fetched:?}");
+    assert_eq!(
+        text(&server.run("pin", &[id]).stdout),
+        format!("{name} is pinned: its results are kept\n")
+    );
+    let unpinned = server.run("pin", &[id, "--undo"]);
+    assert_eq!(text(&unpinned.stdout), format!("{name} is not pinned any more\n"));
+    let deleted = server.run("delete", &[id]);
+    assert!(deleted.status.success());
+    assert_eq!(text(&deleted.stdout), format!("{name} is deleted\n"));
     assert_eq!(server.run("delete", &[id]).status.code(), Some(1));
 }
 
@@ -126,6 +141,14 @@ fn failures_have_their_exit_codes() {
     let failed = server.run("submit", &[&empty, "--out", &out, "--triangles=5"]);
     assert_eq!(failed.status.code(), Some(1), "{failed:?}");
     assert!(text(&failed.stderr).contains("failed"), "{failed:?}");
+    let jobs = text(&server.run("jobs", &["--json"]).stdout);
+    let job: serde_json::Value = serde_json::from_str(jobs.trim()).unwrap();
+    let nothing = server.dir.path().join("nothing");
+    let fetch = ["--out", nothing.to_str().unwrap()];
+    let fetched = server.run("fetch", &[&[job["name"].as_str().unwrap()], &fetch[..]].concat());
+    assert_eq!(fetched.status.code(), Some(1), "{fetched:?}");
+    assert!(text(&fetched.stderr).contains("lookalike retry jobs/"), "{fetched:?}");
+    assert!(!nothing.exists());
     let [nobody] = free_ports();
     let nobody = format!("http://{nobody}");
     for flags in [["jobs"].as_slice(), &["watch", "1"], &["cancel", "1"]] {
@@ -138,6 +161,11 @@ fn failures_have_their_exit_codes() {
         vec!["submit", &*empty, "--out", &out, "--triangles=0"],
         vec!["submit", "/nowhere.ply", "--out", &out, "--triangles=5"],
         vec!["run", &*empty, "--out", &out, "--triangles=5", "--views=7"],
+        vec!["run", &*empty, "--out", &out, "--ratio=10%"],
+        vec!["extract", &*empty, "--triangles=5", "--out=level.stl"],
+        vec!["extract", &*empty, "--triangles=5", "--out=level.ply", "--quantize"],
+        vec!["compare", &*empty, &*empty, "--sheet=sheet.jpg"],
+        vec!["sample", "sample"],
         vec!["jobs", "--state=lost"],
         vec!["jobs", "--server=nonsense"],
         vec!["serve", "--listen=0.0.0.0:7420", "--data-dir", &out],
@@ -156,7 +184,12 @@ async fn requests_with_a_name_of_their_own_can_be_repeated() {
     let file = server.file("torus.ply", &small_torus());
     let flags = [&[&*file, "--no-wait", "--request-id=mine"], &JOB[..]].concat();
     let first = text(&server.run("submit", &flags).stdout);
-    assert_eq!(text(&server.run("submit", &flags).stdout), first);
+    let out = server.dir.path().join("later");
+    let again = [&flags[..], &["--out", out.to_str().unwrap()]].concat();
+    let again = server.run("submit", &again);
+    assert_eq!(text(&again.stdout), first);
+    let then = format!("then: lookalike fetch {} --out {}\n", first.trim(), out.display());
+    assert!(text(&again.stderr).ends_with(&then) && !out.exists(), "{again:?}");
     let mut client = server.client();
     assert!(state(&job(&mut client, first.trim()).await) != State::Failed);
     assert_eq!(text(&server.run("jobs", &[]).stdout).lines().count(), 1);
@@ -169,8 +202,11 @@ fn doctor_and_completions_print() {
     let [port] = free_ports();
     let mut doctor = lookalike();
     doctor.args(["doctor", "--json", "--listen", &port, "--data-dir", &data_dir]);
+    doctor.env_remove("XDG_RUNTIME_DIR");
     let output = doctor.output().unwrap();
     assert!(output.status.success(), "{output:?}");
+    // Mesa, which looks for devices, has nothing to complain of.
+    assert!(!text(&output.stderr).contains("XDG_RUNTIME_DIR"), "{output:?}");
     let found: Vec<serde_json::Value> =
         text(&output.stdout).lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     let store = found.iter().find(|finding| finding["what"] == "store").unwrap();

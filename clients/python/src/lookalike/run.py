@@ -161,8 +161,13 @@ class _Bar:
             if sample.HasField("d2"):
                 self._facts["d2"] = f"{sample.d2:.3f}%"
         elif kind == "state_changed":
-            name = job_pb2.JobState.Name(event.state_changed.state)
+            state = event.state_changed.state
+            name = job_pb2.JobState.Name(state)
             self._facts["state"] = name.removeprefix("JOB_STATE_").lower()
+            if state == job_pb2.JOB_STATE_SUCCEEDED:
+                # The last progress was told before the files were written.
+                self._facts.pop("left", None)
+                self._bar.n = self._bar.total
         elif kind == "attempt_restarted":
             self._facts.clear()
             self._bar.n = 0.0
