@@ -107,6 +107,8 @@ impl Default for Limits {
 
 /// Of one owner's submissions: one is at work, and one is ready to follow. A single owner loses nothing.
 const CREATIONS_AT_ONCE: usize = 2;
+/// Of one owner's uploads, each of which has a thread: others wait for their turn.
+const UPLOADS_AT_ONCE: usize = 16;
 /// Of one reader's followers: fewer than there are connections for reading.
 const READS_AT_ONCE: usize = 3;
 /// Uploads that are whole get so long to be stored before a server ends.
@@ -130,6 +132,8 @@ struct Inner {
     /// Pages of logs, and segments of records, that followers share.
     pages: Recent<[StoredEvent]>,
     unpacked: Recent<Vec<u8>>,
+    /// Of those who upload.
+    uploads: Turns,
     /// Uploads that are kept though their senders may have left.
     keeping: TaskTracker,
     /// Jobs whose attempts were lost while nobody asked for them.
@@ -166,6 +170,7 @@ impl Jobs {
             readers: Turns::new(READS_AT_ONCE),
             pages: Recent::default(),
             unpacked: Recent::default(),
+            uploads: Turns::new(UPLOADS_AT_ONCE),
             keeping: TaskTracker::new(),
             lost: Mutex::default(),
             terms,

@@ -46,6 +46,7 @@ impl Desk<'_> {
         chunks: mpsc::Receiver<Bytes>,
     ) -> Result<StoredMesh> {
         self.check_bytes().await?;
+        let _turn = self.jobs.0.uploads.of(&self.who.owner).await;
         self.jobs.put_mesh(&self.who.owner, announced, chunks).await
     }
 

@@ -153,7 +153,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::render::{BoundingSphere, contract, raster};
+    use crate::render::{contract, raster, view::BoundingSphere};
 
     /// The pictures show so much of the sphere that holds all triangles.
     fn check(faces: &[[DVec3; 3]], look: contract::Look, shown: f64) -> Result<(), TestCaseError> {

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use tokio::sync::mpsc;
+use tokio::{sync::mpsc, time::timeout};
 use tonic::{Status, Streaming, codegen::tokio_stream::StreamExt};
 
 use super::{observe, status};
@@ -11,6 +11,13 @@ use prost::bytes::Bytes;
 
 /// Chunks received ahead of the disk.
 const AHEAD: usize = 8;
+/// A stream on which nothing comes for so long is given up: each has a thread that waits for it.
+const SILENCE: Duration = Duration::from_secs(60);
+
+fn silent() -> Status {
+    let text = format!("nothing came for {} s: send it again", SILENCE.as_secs());
+    Status::deadline_exceeded(text)
+}
 
 /// Feeds the chunks of a client's stream to `put`, and counts them as bytes of `what`; `wait` says how long so many bytes
 /// have to. A stream that breaks off puts nothing.
@@ -26,7 +33,7 @@ where
     let (send, receive) = mpsc::channel(AHEAD);
     let n_bytes = observe::received(what);
     let feed = async move {
-        while let Some(message) = messages.next().await {
+        while let Some(message) = timeout(SILENCE, messages.next()).await.map_err(|_| silent())? {
             let chunk = chunk_of(message?);
             let chunk = chunk.ok_or_else(|| status::invalid("part", "only chunks may follow"))?;
             n_bytes.increment(chunk.len() as u64);

@@ -35,7 +35,8 @@ pub enum CallEnd {
 }
 
 impl Store {
-    /// Takes at most `limit` calls that are due, and has them for a while.
+    /// Takes at most `limit` calls that are due, and has them for a while. Each owner's first one comes before anybody's
+    /// second.
     pub async fn take_calls(&self, limit: u32, held_for: Duration) -> Result<Vec<DueCall>> {
         let now = now_ms(&mut *self.readers.acquire().await?).await?;
         let query = "SELECT count(*) FROM webhooks WHERE next_ms <= $1";
@@ -44,8 +45,13 @@ impl Store {
         }
         transaction!(self, tx, {
             // What another server has taken is its own.
-            let query = "SELECT job, id, url, attempts FROM webhooks WHERE next_ms <= $1 \
-                         ORDER BY next_ms, job LIMIT $2 /*pg FOR UPDATE SKIP LOCKED */";
+            let query = "SELECT job, id, url, attempts FROM webhooks \
+                         WHERE next_ms <= $1 AND job IN (SELECT job FROM ( \
+                         SELECT due.job, due.next_ms, row_number() OVER ( \
+                         PARTITION BY jobs.owner ORDER BY due.next_ms, due.job) AS turn \
+                         FROM webhooks AS due JOIN jobs ON jobs.id = due.job \
+                         WHERE due.next_ms <= $1) AS in_turn ORDER BY turn, next_ms, job LIMIT $2) \
+                         ORDER BY next_ms, job /*pg FOR UPDATE SKIP LOCKED */";
             let query = sqlx::query(sql(&tx, query)).bind(now).bind(i64::from(limit));
             let rows = query.fetch_all(&mut *tx).await?;
             let mut due = Vec::with_capacity(rows.len());

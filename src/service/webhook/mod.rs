@@ -32,8 +32,9 @@ pub use self::{address::HostPattern, sign::SigningKey};
 
 /// The database is asked this often for calls that are due.
 const POLL: Duration = Duration::from_millis(500);
-/// Calls at a time.
-const AT_ONCE: usize = 8;
+/// Calls at a time, and calls that are taken at a time.
+const AT_ONCE: usize = 32;
+const TAKEN: u32 = 8;
 /// What an attempt may take, and for how long it is this server's: longer.
 const TIMEOUT: Duration = Duration::from_secs(10);
 const HELD_FOR: Duration = Duration::from_mins(1);
@@ -119,23 +120,10 @@ pub async fn run(
         return Ok(());
     };
     let caller = Caller { client: client(&rules)?, shapes: Shapes::read()?, jobs, rules, key };
-    let calls = async {
-        loop {
-            let due = caller.jobs.take_calls(AT_ONCE as u32, HELD_FOR).await;
-            let due = due.unwrap_or_else(|error| {
-                tracing::error!(%error, "webhooks cannot be looked up");
-                Vec::new()
-            });
-            let is_busy = due.len() == AT_ONCE;
-            let caller = &caller;
-            stream::iter(due).for_each_concurrent(AT_ONCE, |call| caller.call(call)).await;
-            if !is_busy {
-                tokio::time::sleep(POLL).await;
-            }
-        }
-    };
+    // Some wait here for a place, for less time than they are held; the others where everybody finds them.
+    let due = stream::repeat(()).then(|()| caller.take()).map(stream::iter).flatten();
     tokio::select! {
-        () = calls => {}
+        () = due.for_each_concurrent(AT_ONCE, |call| caller.call(call)) => {}
         () = shutdown.cancelled() => {}
     }
     Ok(())
@@ -187,6 +175,18 @@ struct Caller {
 }
 
 impl Caller {
+    /// Calls that are due; after a while, if there are none.
+    async fn take(&self) -> Vec<DueCall> {
+        let due = self.jobs.take_calls(TAKEN, HELD_FOR).await.unwrap_or_else(|error| {
+            tracing::error!(%error, "webhooks cannot be looked up");
+            Vec::new()
+        });
+        if due.is_empty() {
+            tokio::time::sleep(POLL).await;
+        }
+        due
+    }
+
     /// Makes one attempt, and notes how it ended.
     async fn call(&self, call: DueCall) {
         // Rules may have changed since the job was created.
