@@ -8,6 +8,7 @@ use lookalike::{
     io,
     jobs::spec::{Evaluate, Input, Metric, Shading, Spec},
     mesh::Mesh,
+    metric::is_grey,
     service::{convert, proto::v1},
     worker::evaluating,
 };
@@ -79,6 +80,18 @@ impl CompareArgs {
             metric: self.metric,
         }
     }
+
+    /// Says what a person should know before they believe the figures.
+    fn remark(&self, original: &Mesh, simplified: &[Mesh]) {
+        if !self.colours && !is_grey(original) {
+            eprintln!("colours and textures are not compared: --colours does that");
+        }
+        for (path, mesh) in self.simplified.iter().zip(simplified) {
+            for (_, text) in compare::mismatches(original, mesh) {
+                eprintln!("{}: {text}", path.display());
+            }
+        }
+    }
 }
 
 pub(crate) async fn run(args: CompareArgs) -> Result<(), Failure> {
@@ -110,6 +123,7 @@ fn here(args: &CompareArgs) -> Result<Compared, Failure> {
     let original = read_mesh(&args.original)?;
     let simplified: Vec<Mesh> =
         args.simplified.iter().map(|path| read_mesh(path)).collect::<Result<_, _>>()?;
+    args.remark(&original, &simplified);
     let params = evaluating::params(&args.evaluate());
     let reference = compare::Reference::new(&original, &params);
     let comparisons = simplified.iter().map(|mesh| reference.compare(mesh)).collect();

@@ -5,6 +5,7 @@
 
 mod canvas;
 mod evaluate;
+mod mismatch;
 pub mod plot;
 pub mod raster;
 pub mod sample;
@@ -17,6 +18,7 @@ mod torus;
 pub use evaluate::{
     Comparison, Params, Part, Reference, Tick, compare, json, report_text, summary,
 };
+pub use mismatch::mismatches;
 pub use plot::{CurvePoint, PlotParams, PlotX, energy_plot};
 pub use raster::{Appearance, Look, Shading};
 pub use sample::sample_mesh;

@@ -83,6 +83,9 @@ pub(super) fn run(
     let read = [("model", original), ("simplified mesh", simplified)];
     let read = read.iter().flat_map(|(what, ingest)| announcement(what, &ingest.report));
     read.into_iter().try_for_each(&mut tell)?;
+    for (code, text) in compare::mismatches(&original.mesh, &simplified.mesh) {
+        tell(Report::Note { code: code.into(), text })?;
+    }
     let (comparison, sheet) = watched(&mut tell, |tick| {
         let params = params(evaluate);
         let reference = Reference::try_new(&original.mesh, &params, tick)?;

@@ -140,6 +140,9 @@ impl Levels {
 
     /// Says which levels cannot be coarser than the original.
     pub fn announce(&self, recorder: &mut Recorder<'_>) -> Result<(), PipelineError> {
+        if self.is_given {
+            return Ok(());
+        }
         let targets = self.asked.iter().filter_map(|budget| budget.triangles);
         for target in targets.filter(|t| *t as usize >= self.n_original) {
             let text = format!(

@@ -14,6 +14,7 @@ use std::{
 };
 
 use crate::{
+    compare::mismatches,
     io::{self, Ingest},
     jobs::{
         event::Report,
@@ -202,6 +203,9 @@ fn make_levels(
     }
     if let Some(simplified) = &simplified {
         recorder.announce("simplified mesh", &simplified.report)?;
+        for (code, text) in mismatches(&original, &simplified.mesh) {
+            recorder.note(code, &text)?;
+        }
     }
     let mut facts = Facts { asked, n_locked: marks.n_locked(), n_optimized: 0, model: &model };
     tell_of_marks(&marks, &mut recorder)?;

@@ -70,6 +70,7 @@ in_homes! { [on_sqlite on_postgres] [
     results_go_when_their_time_is_up_unless_pinned,
     webhooks_are_due_with_the_end_and_taken_once,
     webhooks_go_with_their_job_and_nobody_is_called_unasked,
+    webhooks_of_one_owner_wait_for_themselves,
 ] }
 
 impl Store {
@@ -444,6 +445,18 @@ async fn webhooks_go_with_their_job_and_nobody_is_called_unasked(home: Home) {
     }
     store.delete("a").await.unwrap();
     assert_eq!(store.take_calls(10, Duration::ZERO).await.unwrap(), []);
+}
+
+async fn webhooks_of_one_owner_wait_for_themselves(home: Home) {
+    let [store]: [Store; 1] = home.servers().await;
+    add_mesh(&store, "mesh").await;
+    for (id, owner) in [("a", "busy"), ("b", "busy"), ("c", "busy"), ("d", "calm")] {
+        let new = NewJob { owner: owner.into(), ..to_be_told() };
+        store.create(id, &new, &Limits::default()).await.unwrap();
+        store.cancel(id).await.unwrap();
+    }
+    let taken = store.take_calls(2, Duration::from_hours(1)).await.unwrap();
+    assert!(taken.iter().map(|call| &*call.job.id).eq(["a", "d"]), "{taken:?}");
 }
 
 async fn results_go_when_their_time_is_up_unless_pinned(home: Home) {
