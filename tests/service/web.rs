@@ -312,6 +312,7 @@ async fn lists_are_paged_and_filtered_and_faults_are_named() {
         ("/api/v1/jobs?colour=red", 400, "page_size, page_token, states, owner"),
         ("/api/v1/jobs?page_token=@", 400, "not a token"),
         ("/api/v1/nothing", 404, "no route"),
+        ("/index.html", 404, "no route"),
         ("/api/v1/meshes", 405, "use POST"),
         ("/api/v1/jobs/0/events", 404, "does not exist"),
     ] {
@@ -320,6 +321,8 @@ async fn lists_are_paged_and_filtered_and_faults_are_named() {
         let body = json_of(answer).await;
         assert!(body["message"].as_str().unwrap().contains(text), "{path}: {body}");
     }
+    let greeting = web.get("/").await.text().await.unwrap();
+    assert!(greeting.contains("/api/v1/jobs lists jobs"), "{greeting}");
     let (code, message) = grpc_web(&web, "ListJobs", &v1::ListJobsRequest::default()).await;
     assert_eq!(code, Code::Ok);
     assert_eq!(v1::ListJobsResponse::decode(&*message).unwrap().jobs.len(), 5);

@@ -121,6 +121,10 @@ impl<S: Grpc> Service<Request<Body>> for Web<S> {
             if let Err(fault) = web.hosts.check(&request) {
                 return Ok(fault.response());
             }
+            // gRPC, on the web or not, asks otherwise.
+            if !is_route && request.method() == http::Method::GET {
+                return Ok(greeting(request.uri().path()));
+            }
             if !is_route {
                 return inner.call(request).await;
             }
@@ -132,6 +136,22 @@ impl<S: Grpc> Service<Request<Body>> for Web<S> {
             Ok(answer)
         })
     }
+}
+
+/// For whoever opens the server's address in a browser.
+fn greeting(path: &str) -> Response<Body> {
+    if path != "/" {
+        return Fault::no_route(path).response();
+    }
+    let text = format!(
+        "Lookalike {}: levels of detail that look alike.\n\nThis port speaks gRPC, gRPC-Web and HTTP with JSON: \
+         {ROOT}jobs lists jobs. Metrics have a port of their own. README.md describes all of it.\n",
+        env!("CARGO_PKG_VERSION")
+    );
+    let mut response = Response::new(Body::new(Full::new(Bytes::from(text))));
+    let plain = http::HeaderValue::from_static("text/plain; charset=utf-8");
+    response.headers_mut().insert(header::CONTENT_TYPE, plain);
+    response
 }
 
 /// Pages speak gRPC-Web, or nothing that is gRPC.
