@@ -230,8 +230,9 @@ async fn store(data_dir: &Path) -> Finding {
             let text = format!("{}: {}", data_dir.display(), counts.join(", "));
             Finding { what, grade: Grade::Good, text }
         }
-        Err(error @ Error::InUse(_)) => {
-            Finding { what, grade: Grade::Good, text: error.to_string() }
+        Err(Error::InUse(_)) => {
+            let text = format!("{} is in use: a server has it open", data_dir.display());
+            Finding { what, grade: Grade::Good, text }
         }
         Err(error) => {
             let text = format!("{error}; mend it, or choose another --data-dir");
