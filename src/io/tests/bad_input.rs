@@ -154,6 +154,8 @@ fn text_formats_name_the_line() {
     check("a.ply", &ply("0\n3 0 0\n"), "TRUNCATED_FILE", "element face, row 0");
     check("a.ply", b"ply\nformat ascii 1.0\n", "MALFORMED_FILE", "end_header");
     check("a.ply", b"ply\nelement vertex x\n", "MALFORMED_FILE", "header, line 2");
+    let twice = head.replace("element face", "element vertex 1\nproperty float x\nelement face");
+    check("a.ply", twice.as_bytes(), "MALFORMED_FILE", "header, line 5: there is an element");
     let stl = b"solid s\nfacet normal 0 0 1\nouter loop\nvertex 0 0\n";
     check("a.stl", stl, "MALFORMED_FILE", "line 4");
 }
