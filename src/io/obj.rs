@@ -1,6 +1,6 @@
 //! Wavefront OBJ: `v` (with colours), `vt`, `vn`, `f` (polygons, negative indices), `usemtl`.
 //!
-//! Polygons are split into fans from their first corner. `usemtl` makes materials by name, which
+//! Polygons are split into triangles (see `polygon`). `usemtl` makes materials by name, which
 //! the material libraries define (see `mtl`) where the file is in an archive with them; alone, it
 //! makes all white. Colours after the coordinates are taken as sRGB, as
 //! Blender takes them. Points, lines, curves, groups and smoothing groups are passed over.
@@ -13,7 +13,7 @@ use glam::DVec3;
 use super::{
     IoError,
     intern::Interner,
-    mtl,
+    mtl, polygon,
     soup::{Attribute, Patch, PatchMaterials, PointMarks, Soup},
     source::Source,
 };
@@ -63,6 +63,8 @@ struct Reader<'a> {
     material_ids: BTreeMap<Vec<u8>, u32>,
     material: u32,
     polygon: Vec<u32>,
+    /// Where the polygon's corners are.
+    outline: Vec<DVec3>,
     /// Entries of the archive.
     libraries: Vec<usize>,
     soup: Soup,
@@ -83,6 +85,7 @@ impl<'a> Reader<'a> {
             material_ids: BTreeMap::new(),
             material: 0,
             polygon: Vec::new(),
+            outline: Vec::new(),
             libraries: Vec::new(),
             soup: Soup::of_one_instance(),
         }
@@ -139,9 +142,11 @@ impl<'a> Reader<'a> {
 
     fn face<'w>(&mut self, words: impl Iterator<Item = &'w [u8]>) -> Result<(), IoError> {
         self.polygon.clear();
+        self.outline.clear();
         for word in words {
             let corner = self.corner(word)?;
             self.polygon.push(self.corners.intern(&corner));
+            self.outline.push(self.positions[corner[0] as usize]);
         }
         if self.polygon.len() < 3 {
             self.soup.notes.add("short_faces", "faces with fewer than three corners are ignored");
@@ -149,8 +154,8 @@ impl<'a> Reader<'a> {
         }
         let n_triangles = self.polygon.len() as u64 - 2;
         self.soup.claim(self.source, &self.place(), 0, n_triangles)?;
-        for pair in self.polygon[1..].windows(2) {
-            self.triangles.push([self.polygon[0], pair[0], pair[1]]);
+        for triangle in polygon::triangulate(&self.outline, &mut self.soup.notes) {
+            self.triangles.push(triangle.map(|i| self.polygon[i]));
             self.face_materials.push(self.material);
         }
         Ok(())

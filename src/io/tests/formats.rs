@@ -102,6 +102,28 @@ fn obj_polygons_materials_and_attributes() {
     assert_eq!(codes, ["mtllib_ignored", "short_faces"]);
 }
 
+/// An L, from OBJ and from PLY whose vertices come before and after its polygon: it is covered once.
+#[test]
+fn concave_polygons() {
+    let corners = "4 0 0\n4 1 0\n1 1 0\n1 4 0\n0 4 0\n0 0 0\n";
+    let lines = corners.trim_end().replace('\n', "\nv ");
+    let obj = format!("v {lines}\nf 1 2 3 4 5 6\n");
+    let vertex = "element vertex 6\nproperty float x\nproperty float y\nproperty float z\n";
+    let face = "element face 1\nproperty list uchar int vertex_indices\n";
+    let (head, row) = ("ply\nformat ascii 1.0\n", "6 0 1 2 3 4 5\n");
+    let before = format!("{head}{vertex}{face}end_header\n{corners}{row}");
+    let after = format!("{head}{face}{vertex}end_header\n{row}{corners}");
+    for (name, text) in [("a.obj", obj), ("a.ply", before), ("a.ply", after)] {
+        let mesh = load(name, text.as_bytes()).unwrap().mesh;
+        let areas = mesh.faces.iter().map(|t| {
+            let [a, b, c] = t.map(|v| mesh.positions[v as usize]);
+            (b - a).cross(c - a).z / 2.0
+        });
+        assert!(areas.clone().all(|area| area > 0.0), "{:?}", mesh.faces);
+        assert_eq!((mesh.faces.len(), areas.sum::<f64>()), (4, 7.0));
+    }
+}
+
 #[test]
 fn obj_vertex_colours() {
     let text = "v 0 0 0\nv 1 0 0 1 0 0\nv 0 1 0 0 1 0\nv 2 2 2\nf 1 2 3\n";
