@@ -8,7 +8,7 @@
 //! Materials, textures and images keep their order, so that materials can be carried word for
 //! word; of what they say, base colours are evaluated.
 //!
-//! The JSON is read by the schema of the `gltf` crate without its validation (which panics on
+//! The JSON is read by the schema of the `gltf` crate (see `schema`) without its validation (which panics on
 //! some dangling indices); every index is looked up with a check instead.
 
 mod accessor;
@@ -18,12 +18,13 @@ mod draco;
 mod material;
 mod primitive;
 mod scene;
+mod schema;
 mod skin;
 mod texture;
 
+use std::cell::Cell;
+
 use gltf::json;
-use serde::Deserialize;
-use serde_json::Value;
 
 use super::{IoError, soup::Soup, source::Source};
 use container::Buffers;
@@ -48,18 +49,8 @@ struct Document<'a> {
     root: json::Root,
     buffers: Buffers<'a>,
     compressed: Vec<draco::Carrier>,
-}
-
-/// What the schema drops: materials are kept word for word; textures, buffer views and primitives
-/// have extensions.
-#[derive(Default, Deserialize)]
-#[serde(default)]
-struct Verbatim {
-    materials: Vec<Value>,
-    textures: Vec<Value>,
-    #[serde(rename = "bufferViews")]
-    buffer_views: Vec<compressed::Carrier>,
-    meshes: Vec<draco::Carrier>,
+    /// Bytes of all values that no bytes of the file stand behind.
+    n_zero_bytes: Cell<u64>,
 }
 
 fn read_document(source: &Source<'_>, json: &[u8], bin: Option<&[u8]>) -> Result<Soup, IoError> {
@@ -68,16 +59,12 @@ fn read_document(source: &Source<'_>, json: &[u8], bin: Option<&[u8]>) -> Result
     let is_value = |b: &&u8| matches!(b, b',' | b'[' | b'{');
     let n_values = json.iter().filter(is_value).count() as u64;
     source.check_limit("JSON", "values", n_values, source.limits.max_json_values)?;
-    let malformed = |error: json::Error| {
-        let place = format!("JSON, line {} column {}", error.line(), error.column());
-        source.malformed(place, error.to_string(), REMEDY)
-    };
-    let root: json::Root = json::deserialize::from_slice(json).map_err(malformed)?;
-    let verbatim: Verbatim = json::deserialize::from_slice(json).map_err(malformed)?;
+    let (root, verbatim) = schema::parse(source, json)?;
     let mut soup = Soup::default();
     check_extensions(source, &root)?;
     let buffers = Buffers::load(source, &root, bin, verbatim.buffer_views)?;
-    let document = Document { source, root, buffers, compressed: verbatim.meshes };
+    let (compressed, n_zero_bytes) = (verbatim.meshes, Cell::new(0));
+    let document = Document { source, root, buffers, compressed, n_zero_bytes };
     texture::read_images(&document, &mut soup);
     texture::read_textures(&document, &verbatim.textures, &mut soup);
     material::read_materials(&document, verbatim.materials, &mut soup);
