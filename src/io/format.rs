@@ -1,6 +1,11 @@
 //! Which reader a file gets: a table of formats, each with its extensions and a test of content.
 
-use super::{IoError, archive, gltf, obj, ply, soup::Soup, source::Source, stl};
+use super::{
+    IoError, archive, gltf, obj, ply,
+    soup::Soup,
+    source::{Source, without_mark},
+    stl,
+};
 
 /// One row of the table.
 pub(super) struct Format {
@@ -92,8 +97,7 @@ fn extension(file: &str) -> Option<&str> {
 }
 
 fn looks_like_json(bytes: &[u8]) -> bool {
-    let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-    text.iter().find(|b| !b.is_ascii_whitespace()) == Some(&b'{')
+    without_mark(bytes).iter().find(|b| !b.is_ascii_whitespace()) == Some(&b'{')
 }
 
 fn looks_like_text(bytes: &[u8]) -> bool {

@@ -11,6 +11,7 @@ use super::{
     archive::Archive,
     picture::mime_of,
     soup::{Notes, Soup},
+    source::without_mark,
 };
 use crate::mesh::{Image, Texture, TextureUse, Wrap};
 
@@ -44,7 +45,7 @@ pub(super) fn read(
         let bytes = archive.unpack(*entry)?;
         let file = archive.shown(*entry);
         let mut current: Option<(Vec<u8>, Definition)> = None;
-        for (i, line) in bytes.split(|b| *b == b'\n').enumerate() {
+        for (i, line) in without_mark(&bytes).split(|b| *b == b'\n').enumerate() {
             let (key, rest) = split_word(line.trim_ascii());
             if key == b"newmtl" {
                 let started = (rest.to_vec(), Definition::default());
@@ -252,7 +253,7 @@ impl Textures<'_> {
 }
 
 /// The first word and what follows it.
-fn split_word(text: &[u8]) -> (&[u8], &[u8]) {
+pub(super) fn split_word(text: &[u8]) -> (&[u8], &[u8]) {
     let text = text.trim_ascii_start();
     let end = text.iter().position(u8::is_ascii_whitespace).unwrap_or(text.len());
     let (word, rest) = text.split_at(end);

@@ -26,7 +26,11 @@ use std::cell::Cell;
 
 use gltf::json;
 
-use super::{IoError, soup::Soup, source::Source};
+use super::{
+    IoError,
+    soup::Soup,
+    source::{Source, without_mark},
+};
 use container::Buffers;
 
 const REMEDY: &str = "export the model again and run it through the glTF validator";
@@ -39,8 +43,7 @@ pub(super) fn read_glb(source: &Source<'_>) -> Result<Soup, IoError> {
 
 /// Reads the JSON form.
 pub(super) fn read_gltf(source: &Source<'_>) -> Result<Soup, IoError> {
-    let json = source.bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(source.bytes);
-    read_document(source, json, None)
+    read_document(source, without_mark(source.bytes), None)
 }
 
 /// A parsed document and its buffers.

@@ -131,6 +131,24 @@ fn what_an_obj_lacks_or_has_besides_is_noted() {
     assert_eq!(shown.base_color, [1.0; 4]);
 }
 
+/// A `#` in a name begins no comment, in neither file.
+#[test]
+fn names_may_have_number_signs() {
+    let obj = OBJ.replace("My Paint.mtl", "Paint #1.mtl");
+    let obj = obj.replace("usemtl a", "usemtl Mat #1").replace("usemtl b", "usemtl Mat #2");
+    let mtl = "\u{feff}newmtl Mat #1\nKd 1 0 0 # red\nnewmtl Mat #2\nmap_Kd tex #1.png\n";
+    let members = [
+        stored("x.obj", obj.as_bytes()),
+        stored("Paint #1.mtl", mtl.as_bytes()),
+        stored("tex #1.png", &png()),
+    ];
+    let ingest = load("a.zip", &pack(&members)).unwrap();
+    assert_eq!(codes(&ingest), ["read_from_archive"]);
+    let [red, shown] = &ingest.mesh.materials[..] else { panic!("{:?}", ingest.mesh.materials) };
+    assert_eq!((red.base_color, red.base_texture), ([1.0, 0.0, 0.0, 1.0], None));
+    assert!(shown.base_texture.is_some());
+}
+
 /// Directories decide where the name alone does not; those that lead outside lead nowhere.
 #[test]
 fn namesakes_are_told_apart() {

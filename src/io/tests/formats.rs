@@ -102,6 +102,18 @@ fn obj_polygons_materials_and_attributes() {
     assert_eq!(codes, ["mtllib_ignored", "short_faces"]);
 }
 
+/// A byte-order mark, comments that end with a backslash, and a last line that does.
+#[test]
+fn obj_comments_and_marks() {
+    let text = "\u{feff}v 0 0 0 # at c:\\here\\\nv 1 0 0#x\n # C:\\models\\\nv 0 1 0\n\
+        usemtl Mat #1\nf 1 2 3 # one\nusemtl Mat #2\nv 1 1 0\nf 2 \\\n4 3 \\";
+    let Ingest { mesh, .. } = load("a.obj", text.as_bytes()).unwrap();
+    assert_eq!(mesh.faces, vec![[0, 1, 2], [1, 3, 2]]);
+    let names: Vec<_> = mesh.materials.iter().map(|m| m.name.as_str()).collect();
+    assert_eq!(names, ["Mat #1", "Mat #2"]);
+    assert_eq!(mesh.face_materials, [0, 1]);
+}
+
 /// An L, from OBJ and from PLY whose vertices come before and after its polygon: it is covered once.
 #[test]
 fn concave_polygons() {
