@@ -136,7 +136,9 @@ fn limits_hold_before_anything_is_allocated() {
     check("a.ply", ply, "TRUNCATED_FILE", "4000000000 rows");
     let mut stl = vec![0; 84];
     stl[80..84].copy_from_slice(&u32::MAX.to_le_bytes());
-    check("a.stl", &stl, "UNKNOWN_FORMAT", "not a STL file");
+    check("a.stl", &stl, "TRUNCATED_FILE", "4294967295 binary facets: 214748364834 bytes");
+    check("a", &stl, "UNKNOWN_FORMAT", "unknown format");
+    check("a.stl", &[b'?'; 99], "UNKNOWN_FORMAT", "not a STL file");
 }
 
 #[test]

@@ -168,6 +168,12 @@ fn stl_in_both_kinds() {
     assert_eq!(from_text.faces, vec![[0, 1, 2], [0, 2, 3]]);
     assert_eq!(load("a.stl", &binary).unwrap().mesh, from_text);
     assert_eq!(load("unnamed", &binary).unwrap().report.notes[0].code, "format_by_content");
+    let capitals = format!("\u{feff}\n {}", text.to_ascii_uppercase());
+    assert_eq!(load("a.stl", capitals.as_bytes()).unwrap().mesh, from_text);
+    let longer = load("a.stl", &[&binary[..], b"facet"].concat()).unwrap();
+    assert_eq!((longer.mesh, longer.report.notes[0].code), (from_text, "trailing_bytes"));
+    let shorter = error_of("a.stl", &binary[..binary.len() - 1]);
+    assert!(shorter.to_string().contains("2 binary facets: 184 bytes are needed but 183 are"));
     let cut = text.replace("  vertex 0 1 0\r\n", "");
     assert!(error_of("a.stl", cut.as_bytes()).to_string().contains("2 vertices instead of 3"));
 }
