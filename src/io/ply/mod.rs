@@ -3,7 +3,7 @@
 //! Read: positions, normals, texture coordinates and colours of the `vertex` element, polygons of
 //! the `face` element (see `polygon`) and Stanford's `tristrips`.
 //! The vertex properties `lock` (not 0: the vertex stays) and `weight` mark vertices.
-//! Other elements and properties are passed over; vertex properties are named in a note. Integer
+//! Other elements and properties are passed over and named in notes. Integer
 //! colours are taken as sRGB, as Blender takes them, floating-point colours as linear.
 
 mod body;
@@ -158,10 +158,15 @@ impl<'a, V: Values> Body<'a, V> {
         };
         let slots: Vec<_> = element.properties.iter().map(slot_of).collect();
         for (property, _) in element.properties.iter().zip(&slots).filter(|(_, s)| s.is_none()) {
-            let text = format!("vertex property '{}' is not carried", property.name);
-            self.soup.notes.add("property_ignored", text);
+            self.note_ignored(element, property);
         }
         slots
+    }
+
+    fn note_ignored(&mut self, element: &Element, property: &Property) {
+        let shown: String = property.name.chars().take(64).collect();
+        let text = format!("{} property '{shown}' is not carried", element.name);
+        self.soup.notes.add("property_ignored", text);
     }
 
     /// The value of a scalar property; passes over a list.
@@ -208,6 +213,9 @@ impl<'a, V: Values> Body<'a, V> {
         {
             let problem = "no list property 'vertex_indices'";
             return Err(self.source.malformed(self.place(element, 0), problem, REMEDY));
+        }
+        for property in element.properties.iter().filter(|p| !is_indices(p)) {
+            self.note_ignored(element, property);
         }
         let (mut list, mut triangles) = (Vec::new(), Vec::new());
         for row in 0..element.count {

@@ -62,7 +62,9 @@ fn ply_in_three_encodings() {
         assert!((color[2] - 0.503).abs() < 1e-3, "sRGB 188 is about half the light");
         assert_eq!(color[3], 1.0);
         let codes: Vec<_> = report.notes.iter().map(|n| n.code).collect();
-        assert_eq!(codes, ["property_ignored", "property_ignored", "element_ignored"]);
+        let ignored = "property_ignored";
+        assert_eq!(codes, [ignored, ignored, "element_ignored", ignored]);
+        assert_eq!(report.notes[3].text, "face property 'kind' is not carried");
     }
 }
 
