@@ -22,7 +22,7 @@ mod schema;
 mod skin;
 mod texture;
 
-use std::cell::Cell;
+use std::{cell::Cell, collections::BTreeSet};
 
 use gltf::json;
 
@@ -70,11 +70,11 @@ fn read_document(source: &Source<'_>, json: &[u8], bin: Option<&[u8]>) -> Result
     let document = Document { source, root, buffers, compressed, n_zero_bytes };
     texture::read_images(&document, &mut soup);
     texture::read_textures(&document, &verbatim.textures, &mut soup);
-    material::read_materials(&document, verbatim.materials, &mut soup);
+    let carried = material::read_materials(&document, verbatim.materials, &mut soup);
     for placement in scene::placements(&document, &mut soup)? {
         primitive::read_mesh(&document, &mut soup, &placement)?;
     }
-    note_what_is_left_out(&document.root, &mut soup);
+    note_what_is_left_out(&document.root, &carried, &mut soup);
     if soup.patches.is_empty() {
         return Err(source.no_triangles("no node of the scene places a mesh with triangles"));
     }
@@ -94,6 +94,20 @@ const HARMLESS: [&str; 9] = [
     "EXT_texture_webp",
 ];
 
+/// Extensions that are read. Those of materials are carried, whatever they are.
+const READ: [&str; 7] = [
+    "EXT_meshopt_compression",
+    "KHR_meshopt_compression",
+    "KHR_draco_mesh_compression",
+    "KHR_mesh_quantization",
+    "KHR_texture_basisu",
+    "KHR_texture_transform",
+    "EXT_texture_webp",
+];
+
+/// How many of the extensions in use are looked at.
+const MAX_NAMES: usize = 1024;
+
 /// Required extensions that are known, with what to do about them.
 const REFUSED: [(&str, &str); 1] =
     [("EXT_mesh_gpu_instancing", "save the model with one node per instance")];
@@ -109,10 +123,14 @@ fn check_extensions(source: &Source<'_>, root: &json::Root) -> Result<(), IoErro
     Err(source.unsupported(format!("the required extension {shown}"), remedy))
 }
 
-fn note_what_is_left_out(root: &json::Root, soup: &mut Soup) {
+/// `carried` has the extensions that materials are carried with.
+fn note_what_is_left_out(root: &json::Root, carried: &BTreeSet<String>, soup: &mut Soup) {
+    let read = root.scene.map_or(0, |scene| scene.value());
+    let others = root.scenes.iter().enumerate().filter(|(i, s)| *i != read && !s.nodes.is_empty());
     let rows = [
         (root.animations.len(), "animations_ignored", "animations are ignored"),
         (root.cameras.len(), "cameras_ignored", "cameras are ignored"),
+        (others.count(), "scenes_ignored", "scenes other than the default one are ignored"),
     ];
     for (n, code, text) in rows {
         if n > 0 {
@@ -127,10 +145,18 @@ fn note_what_is_left_out(root: &json::Root, soup: &mut Soup) {
             "its diffuse colour is drawn where a material has no base colour texture; the rest is \
              carried, not evaluated",
         ),
+        ("MSFT_lod", "levels_ignored", "the finest level is read, the others are left out"),
     ];
-    for (extension, code, text) in used {
-        if root.extensions_used.iter().any(|n| n == extension) {
+    // Some files name extensions of materials that none of theirs has.
+    let of_materials =
+        |name: &str| name.starts_with("KHR_materials_") && name != "KHR_materials_variants";
+    for name in root.extensions_used.iter().take(MAX_NAMES) {
+        if let Some((extension, code, text)) = used.into_iter().find(|(known, ..)| known == name) {
             soup.notes.add(code, format!("{extension}: {text}"));
+        } else if !READ.contains(&name.as_str()) && !carried.contains(name) && !of_materials(name) {
+            let shown: String = name.chars().take(64).collect();
+            let text = format!("extension {shown} is not read: what it says is left out");
+            soup.notes.add("extension_ignored", text);
         }
     }
 }

@@ -308,3 +308,28 @@ fn vertices_are_locked_and_weighed_by_attributes() {
     let error = error_of("x.glb", &glb(&json, &bin)).to_string();
     assert!(error.contains("_LOCK") && error.contains("3 values for 4 positions"), "{error}");
 }
+
+/// Each of these says something that does not reach the mesh, but for the extension of a material.
+#[test]
+fn what_extensions_and_scenes_say_is_named() {
+    let bytes = textured_glb(&[png(), png()], |json| {
+        json["extensionsUsed"] =
+            json!(["KHR_lights_punctual", "ACME_material", "KHR_mesh_quantization", "MSFT_lod"]);
+        json["materials"][0]["extensions"] = json!({ "ACME_material": { "k": 1 } });
+        json["scenes"] = json!([{ "nodes": [0] }, { "nodes": [1] }]);
+        json["nodes"].as_array_mut().unwrap().push(json!({}));
+        json["textures"] = json!([
+            { "extensions": { "EXT_texture_avif": { "source": 0 } } },
+            { "source": 1, "extensions": { "MSFT_texture_dds": { "source": 0 } } },
+        ]);
+    });
+    let Ingest { mesh, report, .. } = load("x.glb", &bytes).unwrap();
+    let text: Vec<_> = report.notes.iter().map(|n| (n.code, n.text.as_str())).collect();
+    let codes: Vec<_> = text.iter().map(|(code, _)| *code).collect();
+    let expected =
+        ["texture_format_ignored", "scenes_ignored", "extension_ignored", "levels_ignored"];
+    assert_eq!(codes, expected);
+    assert!(text[0].1.starts_with("texture 0 has its image by EXT_texture_avif alone"), "{text:?}");
+    assert!(text[2].1.starts_with("extension KHR_lights_punctual is not read"), "{text:?}");
+    assert_eq!((mesh.textures[0].image, mesh.textures[1].image), (None, Some(1)));
+}
