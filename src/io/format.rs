@@ -1,6 +1,11 @@
 //! Which reader a file gets: a table of formats, each with its extensions and a test of content.
 
-use super::{IoError, archive, gltf, obj, ply, soup::Soup, source::Source, stl};
+use super::{
+    IoError, archive, gltf, obj, ply,
+    soup::Soup,
+    source::{Source, without_mark},
+    stl,
+};
 
 /// One row of the table.
 pub(super) struct Format {
@@ -9,6 +14,8 @@ pub(super) struct Format {
     /// How sure the test of content is: a strong one decides against the extension.
     strong: bool,
     looks_like: fn(&[u8]) -> bool,
+    /// Whether what no test of content knows may be of this format where the extension says so.
+    may_be: fn(&[u8]) -> bool,
     pub(super) read: for<'a> fn(&Source<'a>) -> Result<Soup, IoError>,
 }
 
@@ -19,6 +26,7 @@ static FORMATS: [Format; 6] = [
         extensions: &["glb"],
         strong: true,
         looks_like: |b| b.starts_with(b"glTF"),
+        may_be: never,
         read: gltf::read_glb,
     },
     Format {
@@ -26,6 +34,7 @@ static FORMATS: [Format; 6] = [
         extensions: &["zip"],
         strong: true,
         looks_like: |b| b.starts_with(b"PK\x03\x04") || b.starts_with(b"PK\x05\x06"),
+        may_be: never,
         read: archive::read,
     },
     Format {
@@ -33,6 +42,7 @@ static FORMATS: [Format; 6] = [
         extensions: &["ply"],
         strong: true,
         looks_like: |b| b.starts_with(b"ply\n") || b.starts_with(b"ply\r"),
+        may_be: never,
         read: ply::read,
     },
     Format {
@@ -40,6 +50,7 @@ static FORMATS: [Format; 6] = [
         extensions: &["stl"],
         strong: true,
         looks_like: stl::looks_like,
+        may_be: stl::may_be,
         read: stl::read,
     },
     Format {
@@ -47,6 +58,7 @@ static FORMATS: [Format; 6] = [
         extensions: &["gltf"],
         strong: true,
         looks_like: looks_like_json,
+        may_be: never,
         read: gltf::read_gltf,
     },
     Format {
@@ -54,6 +66,7 @@ static FORMATS: [Format; 6] = [
         extensions: &["obj"],
         strong: false,
         looks_like: looks_like_text,
+        may_be: never,
         read: obj::read,
     },
 ];
@@ -70,13 +83,17 @@ pub(super) fn is_model(file: &str) -> bool {
     FORMATS.iter().any(|f| f.name != "ZIP" && f.has_extension_of(file))
 }
 
-/// The format by extension if the content agrees, else the one whose content test is sure.
+/// The format by extension if the content agrees, else the one whose content test is sure, else that by extension
+/// if it may be.
 pub(super) fn detect(source: &Source<'_>) -> Result<&'static Format, IoError> {
     let named = FORMATS.iter().find(|f| f.has_extension_of(source.file));
     if let Some(format) = named.filter(|f| (f.looks_like)(source.bytes)) {
         return Ok(format);
     }
     if let Some(format) = FORMATS.iter().find(|f| f.strong && (f.looks_like)(source.bytes)) {
+        return Ok(format);
+    }
+    if let Some(format) = named.filter(|f| (f.may_be)(source.bytes)) {
         return Ok(format);
     }
     let begins = source.bytes[..source.bytes.len().min(12)].escape_ascii().to_string();
@@ -91,9 +108,12 @@ fn extension(file: &str) -> Option<&str> {
     file.rsplit(['/', '\\']).next()?.rsplit_once('.').map(|(_, e)| e)
 }
 
+fn never(_: &[u8]) -> bool {
+    false
+}
+
 fn looks_like_json(bytes: &[u8]) -> bool {
-    let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-    text.iter().find(|b| !b.is_ascii_whitespace()) == Some(&b'{')
+    without_mark(bytes).iter().find(|b| !b.is_ascii_whitespace()) == Some(&b'{')
 }
 
 fn looks_like_text(bytes: &[u8]) -> bool {

@@ -36,6 +36,7 @@ mod mtl;
 mod obj;
 mod picture;
 mod ply;
+mod polygon;
 mod report;
 mod soup;
 mod source;

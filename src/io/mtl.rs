@@ -1,18 +1,22 @@
 //! Wavefront MTL: diffuse colours and their images, from the archive that the OBJ is in.
 //!
 //! `Kd` is a linear factor, as Blender takes it; black beside an image stands for white, as
-//! exporters write it for images that are shown as they are. Other properties are noted. A line
-//! that cannot be read is passed over with a note: geometry is worth reading without it.
+//! exporters write it for images that are shown as they are. `Ke` is what glTF calls emission.
+//! Other properties that change what surfaces look like are noted. A line that cannot be read is
+//! passed over with a note: geometry is worth reading without it.
 
 use std::collections::HashMap;
+
+use serde_json::{Value, json};
 
 use super::{
     IoError,
     archive::Archive,
     picture::mime_of,
     soup::{Notes, Soup},
+    source::without_mark,
 };
-use crate::mesh::{Image, Texture, TextureUse, Wrap};
+use crate::mesh::{Image, Material, Texture, TextureUse, Wrap};
 
 /// Materials by name.
 pub(super) type Library = HashMap<Vec<u8>, Definition>;
@@ -22,6 +26,10 @@ pub(super) type Library = HashMap<Vec<u8>, Definition>;
 pub(super) struct Definition {
     diffuse: Option<[f32; 3]>,
     map: Option<Map>,
+    /// What is given off; 1 is full scale.
+    emission: [f32; 3],
+    /// Whether an image says where.
+    has_emission_map: bool,
 }
 
 /// An image and how it is laid on: coordinates are `scale * (u, v) + offset`, v upwards.
@@ -44,7 +52,7 @@ pub(super) fn read(
         let bytes = archive.unpack(*entry)?;
         let file = archive.shown(*entry);
         let mut current: Option<(Vec<u8>, Definition)> = None;
-        for (i, line) in bytes.split(|b| *b == b'\n').enumerate() {
+        for (i, line) in without_mark(&bytes).split(|b| *b == b'\n').enumerate() {
             let (key, rest) = split_word(line.trim_ascii());
             if key == b"newmtl" {
                 let started = (rest.to_vec(), Definition::default());
@@ -67,7 +75,13 @@ pub(super) fn read(
 }
 
 /// Statements that are known and left out, with what is said about them.
-const LEFT_OUT: [(&[&[u8]], &str, &str); 3] = [
+const LEFT_OUT: [(&[&[u8]], &str, &str); 4] = [
+    (
+        &[b"Ks", b"Pr", b"Pm", b"Ps", b"Pc", b"aniso"],
+        "shading_not_evaluated",
+        "highlights, roughness, metalness, sheen and clearcoat (Ks, Pr, Pm, Ps, Pc) are left out: \
+         all is matt",
+    ),
     (
         &[b"d", b"Tr", b"map_d"],
         "alpha_ignored",
@@ -85,14 +99,24 @@ const LEFT_OUT: [(&[&[u8]], &str, &str); 3] = [
     ),
 ];
 
+/// Of these, the ones that say nothing where they are 0.
+const NOTHING_AT_ZERO: [&[u8]; 5] = [b"Ks", b"Pm", b"Ps", b"Pc", b"aniso"];
+
 impl Definition {
     /// Takes a statement; `false` if it cannot be read.
     fn statement(&mut self, key: &[u8], rest: &[u8], notes: &mut Notes) -> bool {
+        self.has_emission_map |= key == b"map_Ke";
         match key {
             b"Kd" => match numbers(rest) {
                 // Fewer than three mean the same for all.
                 Some((values, _)) => {
                     self.diffuse = Some(values.map(|c| (c as f32).clamp(0.0, 1.0)));
+                }
+                None => return false,
+            },
+            b"Ke" => match numbers(rest) {
+                Some((values, _)) => {
+                    self.emission = values.map(|c| (c as f32).clamp(0.0, f32::MAX));
                 }
                 None => return false,
             },
@@ -102,6 +126,8 @@ impl Definition {
             },
             b"d" if number(rest) == Some(1.0) => {}
             b"Tr" if number(rest) == Some(0.0) => {}
+            _ if NOTHING_AT_ZERO.contains(&key)
+                && matches!(numbers(rest), Some(([0.0, 0.0, 0.0], _))) => {}
             _ => {
                 for (keys, code, text) in LEFT_OUT {
                     if keys.contains(&key) {
@@ -112,6 +138,60 @@ impl Definition {
         }
         true
     }
+
+    /// Fills in the colours of a material that has its texture.
+    fn fill_in(&self, material: &mut Material, notes: &mut Notes) {
+        match self.diffuse {
+            Some([0.0, 0.0, 0.0]) if material.base_texture.is_some() => {
+                let text = "Kd 0 0 0 beside map_Kd is read as white: the image is shown as it is";
+                notes.add("black_factor_ignored", text);
+            }
+            Some([r, g, b]) => material.base_color = [r, g, b, 1.0],
+            None => {}
+        }
+        if self.emission == [0.0; 3] {
+            return;
+        }
+        if self.has_emission_map {
+            let text = "Ke beside map_Ke is left out: its image, which says where, is not read";
+            notes.add("emission_ignored", text);
+        } else {
+            material.source = Some(glowing(material, self.emission));
+        }
+    }
+}
+
+/// A material that gives off light, as a glTF has it: that is where light is looked up.
+fn glowing(material: &Material, emission: [f32; 3]) -> Value {
+    let strength = emission.into_iter().fold(1.0, f32::max);
+    let mut source = json!({
+        "name": material.name,
+        "pbrMetallicRoughness": {
+            "baseColorFactor": material.base_color,
+            "metallicFactor": 0.0,
+        },
+        "emissiveFactor": emission.map(|c| c / strength),
+        "doubleSided": material.double_sided,
+    });
+    if strength > 1.0 {
+        let extension = json!({ "emissiveStrength": strength });
+        source["extensions"] = json!({ "KHR_materials_emissive_strength": extension });
+    }
+    if let Some(texture) = &material.base_texture {
+        source["pbrMetallicRoughness"]["baseColorTexture"] = texture_info(texture);
+    }
+    source
+}
+
+/// A texture as [`Map::transform`] lays it on: neither turned nor sheared.
+fn texture_info(texture: &TextureUse) -> Value {
+    let mut info = json!({ "index": texture.texture });
+    if texture.transform != TextureUse::IDENTITY {
+        let [[width, _, x], [_, height, y]] = texture.transform;
+        let transform = json!({ "offset": [x, y], "scale": [width, height] });
+        info["extensions"] = json!({ "KHR_texture_transform": transform });
+    }
+    info
 }
 
 /// What follows an option of an image: up to three numbers, or so many words.
@@ -197,14 +277,7 @@ pub(super) fn apply(
         };
         let Some(material) = soup.materials.get_mut(*index as usize) else { continue };
         material.base_texture = base_texture;
-        match definition.diffuse {
-            Some([0.0, 0.0, 0.0]) if base_texture.is_some() => {
-                let text = "Kd 0 0 0 beside map_Kd is read as white: the image is shown as it is";
-                soup.notes.add("black_factor_ignored", text);
-            }
-            Some([r, g, b]) => material.base_color = [r, g, b, 1.0],
-            None => {}
-        }
+        definition.fill_in(material, &mut soup.notes);
     }
     Ok(())
 }
@@ -252,7 +325,7 @@ impl Textures<'_> {
 }
 
 /// The first word and what follows it.
-fn split_word(text: &[u8]) -> (&[u8], &[u8]) {
+pub(super) fn split_word(text: &[u8]) -> (&[u8], &[u8]) {
     let text = text.trim_ascii_start();
     let end = text.iter().position(u8::is_ascii_whitespace).unwrap_or(text.len());
     let (word, rest) = text.split_at(end);

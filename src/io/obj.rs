@@ -1,9 +1,9 @@
 //! Wavefront OBJ: `v` (with colours), `vt`, `vn`, `f` (polygons, negative indices), `usemtl`.
 //!
-//! Polygons are split into fans from their first corner. `usemtl` makes materials by name, which
+//! Polygons are split into triangles (see `polygon`). `usemtl` makes materials by name, which
 //! the material libraries define (see `mtl`) where the file is in an archive with them; alone, it
-//! makes all white. Colours after the coordinates are taken as sRGB, as
-//! Blender takes them. Points, lines, curves, groups and smoothing groups are passed over.
+//! makes all white. Names may have a `#`, which begins a comment elsewhere. Colours after the
+//! coordinates are taken as sRGB, as Blender takes them. Points, lines, curves, groups and smoothing groups are passed over.
 //! Positions that are not finite are refused where they stand, used or not.
 
 use std::collections::BTreeMap;
@@ -13,9 +13,10 @@ use glam::DVec3;
 use super::{
     IoError,
     intern::Interner,
-    mtl,
+    mtl::{self, split_word},
+    polygon,
     soup::{Attribute, Patch, PatchMaterials, PointMarks, Soup},
-    source::Source,
+    source::{Source, without_mark},
 };
 use crate::{
     io::ply::linear_from_srgb,
@@ -29,14 +30,14 @@ const NONE: u32 = u32::MAX;
 pub(super) fn read(source: &Source<'_>) -> Result<Soup, IoError> {
     let mut reader = Reader::new(source);
     let mut joined = Vec::new();
-    for (i, line) in source.bytes.split(|b| *b == b'\n').enumerate() {
+    for (i, line) in without_mark(source.bytes).split(|b| *b == b'\n').enumerate() {
+        reader.line = i + 1;
         let line = line.strip_suffix(b"\r").unwrap_or(line);
-        if let Some(begin) = line.strip_suffix(b"\\") {
+        if let Some(begin) = line.strip_suffix(b"\\").filter(|begin| !has_comment(begin)) {
             joined.extend_from_slice(begin);
             joined.push(b' ');
             continue;
         }
-        reader.line = i + 1;
         if joined.is_empty() {
             reader.statement(line)?;
         } else {
@@ -45,7 +46,14 @@ pub(super) fn read(source: &Source<'_>) -> Result<Soup, IoError> {
             joined.clear();
         }
     }
+    reader.statement(&joined)?;
     reader.finish()
+}
+
+/// Whether a comment begins in the line, or what may be one in a name: it ends with the line, so that no backslash
+/// there continues it.
+fn has_comment(line: &[u8]) -> bool {
+    line.split(u8::is_ascii_whitespace).any(|word| word.starts_with(b"#"))
 }
 
 struct Reader<'a> {
@@ -63,6 +71,8 @@ struct Reader<'a> {
     material_ids: BTreeMap<Vec<u8>, u32>,
     material: u32,
     polygon: Vec<u32>,
+    /// Where the polygon's corners are.
+    outline: Vec<DVec3>,
     /// Entries of the archive.
     libraries: Vec<usize>,
     soup: Soup,
@@ -83,34 +93,37 @@ impl<'a> Reader<'a> {
             material_ids: BTreeMap::new(),
             material: 0,
             polygon: Vec::new(),
+            outline: Vec::new(),
             libraries: Vec::new(),
             soup: Soup::of_one_instance(),
         }
     }
 
     fn statement(&mut self, line: &[u8]) -> Result<(), IoError> {
-        let line = line.split(|b| *b == b'#').next().unwrap_or(line).trim_ascii();
-        let mut words = line.split(u8::is_ascii_whitespace).filter(|w| !w.is_empty());
-        match words.next() {
-            Some(b"v") => self.vertex(words),
-            Some(b"vt") => {
+        let (key, rest) = split_word(line);
+        // Names may have a `#`, numbers none.
+        let numbers = rest.split(|b| *b == b'#').next().unwrap_or(rest);
+        let words = numbers.split(u8::is_ascii_whitespace).filter(|w| !w.is_empty());
+        match key {
+            b"v" => self.vertex(words),
+            b"vt" => {
                 let [u, v] = self.numbers(words, 1)?;
                 // OBJ counts v upwards, the mesh downwards as glTF does.
                 self.uvs.push([u as f32, (1.0 - v) as f32]);
                 Ok(())
             }
-            Some(b"vn") => {
+            b"vn" => {
                 let n: [f64; 3] = self.numbers(words, 3)?;
                 self.normals.push(n.map(|x| x as f32));
                 Ok(())
             }
-            Some(b"f") => self.face(words),
-            Some(b"usemtl") => {
-                self.use_material(line.get(6..).unwrap_or(&[]).trim_ascii());
+            b"f" => self.face(words),
+            b"usemtl" => {
+                self.use_material(rest);
                 Ok(())
             }
-            Some(b"mtllib") => {
-                self.name_library(line.get(6..).unwrap_or(&[]).trim_ascii());
+            b"mtllib" => {
+                self.name_library(rest);
                 Ok(())
             }
             _ => Ok(()),
@@ -139,9 +152,11 @@ impl<'a> Reader<'a> {
 
     fn face<'w>(&mut self, words: impl Iterator<Item = &'w [u8]>) -> Result<(), IoError> {
         self.polygon.clear();
+        self.outline.clear();
         for word in words {
             let corner = self.corner(word)?;
             self.polygon.push(self.corners.intern(&corner));
+            self.outline.push(self.positions[corner[0] as usize]);
         }
         if self.polygon.len() < 3 {
             self.soup.notes.add("short_faces", "faces with fewer than three corners are ignored");
@@ -149,8 +164,8 @@ impl<'a> Reader<'a> {
         }
         let n_triangles = self.polygon.len() as u64 - 2;
         self.soup.claim(self.source, &self.place(), 0, n_triangles)?;
-        for pair in self.polygon[1..].windows(2) {
-            self.triangles.push([self.polygon[0], pair[0], pair[1]]);
+        for triangle in polygon::triangulate(&self.outline, &mut self.soup.notes) {
+            self.triangles.push(triangle.map(|i| self.polygon[i]));
             self.face_materials.push(self.material);
         }
         Ok(())

@@ -8,7 +8,7 @@
 
 use glam::DVec3;
 
-use super::{IoError, report::Note, source::Source};
+use super::{IoError, report::Note, source::Source, weld::name_of};
 use crate::mesh::{Image, Material, Semantic, Texture, Tree, skin};
 
 /// A primitive as placed, or all faces of a file without primitives.
@@ -108,8 +108,9 @@ impl Soup {
         self.n_points
     }
 
-    /// Takes a patch after checking invariants 1 and 2.
+    /// Takes a patch after checking invariants 1 to 3.
     pub(super) fn push(&mut self, source: &Source<'_>, patch: Patch) -> Result<(), IoError> {
+        check_widths(source, &patch)?;
         let n = patch.positions.len();
         for (t, triangle) in patch.triangles.iter().enumerate() {
             for &v in triangle {
@@ -134,6 +135,26 @@ impl Soup {
     }
 }
 
+/// Invariant 3.
+fn check_widths(source: &Source<'_>, patch: &Patch) -> Result<(), IoError> {
+    let n = patch.positions.len();
+    let attributes = patch.attributes.iter().map(|a| {
+        let width = defaults_of(a.semantic).len();
+        (name_of(a.semantic), a.values.len(), n.saturating_mul(width))
+    });
+    let PointMarks { locks, weights } = &patch.marks;
+    let marks = [("locks", locks), ("weights", weights)].into_iter();
+    let marks = marks.filter(|(_, marks)| !marks.is_empty());
+    let marks = marks.map(|(name, marks)| (name.to_owned(), marks.len(), n));
+    match attributes.chain(marks).find(|(_, have, want)| have != want) {
+        None => Ok(()),
+        Some((name, have, want)) => {
+            let problem = format!("{name}: {have} values for {n} vertices, which need {want}");
+            Err(source.malformed(patch.place.as_str(), problem, "export the model again"))
+        }
+    }
+}
+
 /// Remarks for the user. At most 64 distinct ones: file content cannot swell the report.
 #[derive(Debug, Default)]
 pub(super) struct Notes(Vec<Note>);
@@ -152,5 +173,29 @@ impl Notes {
 
     pub(super) fn into_vec(self) -> Vec<Note> {
         self.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::io::Limits;
+
+    #[test]
+    fn every_point_has_its_values() {
+        let limits = Limits::default();
+        let source = Source { file: "test", bytes: &[], limits: &limits, beside: None };
+        let refused = |patch: Patch| {
+            let error = Soup::default().push(&source, patch).unwrap_err();
+            assert_eq!(error.code(), "MALFORMED_FILE");
+            error.to_string()
+        };
+        let patch = || Patch { positions: vec![DVec3::ZERO; 2], ..Patch::default() };
+        let normals = Attribute { semantic: Semantic::Normal, values: vec![0.0; 3] };
+        let text = refused(Patch { attributes: vec![normals], ..patch() });
+        assert!(text.contains("normal: 3 values for 2 vertices, which need 6"), "{text}");
+        let marks = PointMarks { locks: Vec::new(), weights: vec![1.0; 3] };
+        let text = refused(Patch { marks, ..patch() });
+        assert!(text.contains("weights: 3 values for 2 vertices, which need 2"), "{text}");
     }
 }

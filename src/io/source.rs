@@ -12,6 +12,11 @@ pub(super) struct Source<'a> {
     pub(super) beside: Option<&'a Archive<'a>>,
 }
 
+/// A text without the byte-order mark of UTF-8 that some programs begin it with.
+pub(super) fn without_mark(text: &[u8]) -> &[u8] {
+    text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(text)
+}
+
 impl Source<'_> {
     /// Bytes of the file and of what has been unpacked beside it.
     pub(super) fn n_bytes(&self) -> u64 {

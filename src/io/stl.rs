@@ -2,14 +2,15 @@
 //! its normals are those of the facets, which the positions give exactly.
 //!
 //! Many binary files begin with `solid`, so a file is binary when its length agrees with the
-//! count at byte 80, whatever it begins with.
+//! count at byte 80, whatever it begins with. A file that is called STL may be longer or, which is refused, cut
+//! short. Text has no zero byte; its keywords may be in capitals.
 
 use glam::DVec3;
 
 use super::{
     IoError,
     soup::{Patch, Soup},
-    source::Source,
+    source::{Source, without_mark},
 };
 
 const HEADER_BYTES: usize = 84;
@@ -21,10 +22,18 @@ pub(super) fn looks_like(bytes: &[u8]) -> bool {
     is_binary(bytes) || is_ascii(bytes)
 }
 
+/// Whether a file that is called STL can be a binary one whose length does not fit its count: it has facets, and is
+/// no text.
+pub(super) fn may_be(bytes: &[u8]) -> bool {
+    stated_count(bytes).is_some_and(|n| n > 0) && bytes.iter().take(HEADER_BYTES).any(|b| *b == 0)
+}
+
 fn is_ascii(bytes: &[u8]) -> bool {
-    let text = bytes.trim_ascii_start();
-    let has_word = |w: &[u8]| text[..text.len().min(1024)].windows(w.len()).any(|x| x == w);
-    text.starts_with(b"solid") && (has_word(b"facet") || has_word(b"endsolid"))
+    let text = without_mark(bytes).trim_ascii_start();
+    let begin = &text[..text.len().min(1024)];
+    let has_word = |w: &[u8]| begin.windows(w.len()).any(|x| x.eq_ignore_ascii_case(w));
+    let is_solid = begin.get(..5).is_some_and(|word| word.eq_ignore_ascii_case(b"solid"));
+    is_solid && !begin.contains(&0) && (has_word(b"facet") || has_word(b"endsolid"))
 }
 
 fn is_binary(bytes: &[u8]) -> bool {
@@ -80,14 +89,37 @@ fn point_of(bytes: &[u8]) -> DVec3 {
     DVec3::from_array(x)
 }
 
+/// What the first word of a line says.
+#[derive(Clone, Copy)]
+enum Keyword {
+    Vertex,
+    Begin,
+    End,
+}
+
+impl Keyword {
+    const NAMES: [(&[u8], Self); 5] = [
+        (b"vertex", Self::Vertex),
+        (b"outer", Self::Begin),
+        (b"facet", Self::Begin),
+        (b"endloop", Self::End),
+        (b"endfacet", Self::End),
+    ];
+
+    fn of(word: &[u8]) -> Option<Self> {
+        let named = Self::NAMES.iter().find(|(name, _)| word.eq_ignore_ascii_case(name));
+        named.map(|(_, keyword)| *keyword)
+    }
+}
+
 fn read_ascii(source: &Source<'_>, soup: &mut Soup) -> Result<Vec<DVec3>, IoError> {
     let mut positions = Vec::new();
     let mut n_in_loop = 0;
     for (i, line) in source.bytes.split(|b| *b == b'\n').enumerate() {
         let mut words = line.split(u8::is_ascii_whitespace).filter(|w| !w.is_empty());
         let place = || format!("line {}", i + 1);
-        match words.next() {
-            Some(b"vertex") => {
+        match words.next().and_then(Keyword::of) {
+            Some(Keyword::Vertex) => {
                 let p = parse_point(words).ok_or_else(|| {
                     source.malformed(place(), "a vertex needs three numbers", REMEDY)
                 })?;
@@ -95,11 +127,11 @@ fn read_ascii(source: &Source<'_>, soup: &mut Soup) -> Result<Vec<DVec3>, IoErro
                 soup.claim(source, "facets", 1, u64::from(n_in_loop == 3))?;
                 positions.push(p);
             }
-            Some(b"endloop" | b"endfacet") if n_in_loop % 3 != 0 => {
+            Some(Keyword::End) if n_in_loop % 3 != 0 => {
                 let problem = format!("the facet has {n_in_loop} vertices instead of 3");
                 return Err(source.malformed(place(), problem, REMEDY));
             }
-            Some(b"outer" | b"facet") => n_in_loop = 0,
+            Some(Keyword::Begin) => n_in_loop = 0,
             _ => {}
         }
     }

@@ -2,7 +2,8 @@
 //!
 //! Invariant: ranges are computed with saturating 64-bit arithmetic and looked up with a check,
 //! so no accessor can reach outside its view, and callers hold counts against the limits before
-//! they ask for values.
+//! they ask for values. An accessor that names no bytes is all zeros (glTF 2.0 §5.1.1); these
+//! have a limit together.
 
 use gltf::json::{
     accessor::{Accessor, ComponentType, Type},
@@ -69,9 +70,6 @@ impl<'a> Document<'a> {
         place: &str,
     ) -> Result<Vec<T>, IoError> {
         let n_bytes = view.component.size();
-        if view.accessor.buffer_view.is_none() && view.accessor.sparse.is_none() {
-            return Err(self.source.malformed(place, "an accessor without data", REMEDY));
-        }
         let mut values = match view.accessor.buffer_view {
             Some(buffer_view) => {
                 let at = Range {
@@ -84,10 +82,20 @@ impl<'a> Document<'a> {
                     .flat_map(|e| e.chunks_exact(n_bytes).take(view.width).map(convert))
                     .collect()
             }
-            None => vec![T::default(); view.count as usize * view.width],
+            None => self.zeros(view, place)?,
         };
         self.apply_sparse(view, convert, &mut values, place)?;
         Ok(values)
+    }
+
+    /// What an accessor has that names no bytes. Files may ask for many of them without being large.
+    fn zeros<T: Copy + Default>(&self, view: &View<'_>, place: &str) -> Result<Vec<T>, IoError> {
+        let n_values = view.count.saturating_mul(view.width as u64);
+        let n_bytes = n_values.saturating_mul(size_of::<T>() as u64);
+        let sum = self.n_zero_bytes.get().saturating_add(n_bytes);
+        self.source.check_limit(place, "bytes of zeros", sum, self.source.limits.max_bytes)?;
+        self.n_zero_bytes.set(sum);
+        Ok(vec![T::default(); n_values as usize])
     }
 
     fn apply_sparse<T: Copy>(

@@ -1,5 +1,7 @@
 //! Materials: base colours and flags; what they give off is looked at, the rest is carried word for word and named in notes.
 
+use std::collections::BTreeSet;
+
 use gltf::json::material::Material as JsonMaterial;
 use serde_json::Value;
 
@@ -10,11 +12,17 @@ const BASE_COLOR_TEXTURE: &str = "/pbrMetallicRoughness/baseColorTexture";
 const DIFFUSE_FACTOR: &str = "/extensions/KHR_materials_pbrSpecularGlossiness/diffuseFactor";
 const DIFFUSE_TEXTURE: &str = "/extensions/KHR_materials_pbrSpecularGlossiness/diffuseTexture";
 
-/// All materials in the order of the file; `verbatim` is their JSON.
-pub(super) fn read_materials(document: &Document<'_>, verbatim: Vec<Value>, soup: &mut Soup) {
+/// All materials in the order of the file; `verbatim` is their JSON. Returns the names of the extensions in them.
+pub(super) fn read_materials(
+    document: &Document<'_>,
+    verbatim: Vec<Value>,
+    soup: &mut Soup,
+) -> BTreeSet<String> {
+    let mut extensions = BTreeSet::new();
     for (i, (material, source)) in document.root.materials.iter().zip(verbatim).enumerate() {
         let name = material.name.clone().unwrap_or_default();
         let label = label("material", i, &name);
+        texture_info::extensions(&source, &mut extensions);
         let material = Material {
             name,
             base_color: base_color(material, &source),
@@ -26,6 +34,7 @@ pub(super) fn read_materials(document: &Document<'_>, verbatim: Vec<Value>, soup
         note_what_is_left_out(&material, &label, soup);
         soup.materials.push(material);
     }
+    extensions
 }
 
 /// The index that a primitive without a material gets: that of glTF's default material, which is

@@ -8,7 +8,7 @@
 //! Materials, textures and images keep their order, so that materials can be carried word for
 //! word; of what they say, base colours are evaluated.
 //!
-//! The JSON is read by the schema of the `gltf` crate without its validation (which panics on
+//! The JSON is read by the schema of the `gltf` crate (see `schema`) without its validation (which panics on
 //! some dangling indices); every index is looked up with a check instead.
 
 mod accessor;
@@ -18,14 +18,19 @@ mod draco;
 mod material;
 mod primitive;
 mod scene;
+mod schema;
 mod skin;
 mod texture;
 
-use gltf::json;
-use serde::Deserialize;
-use serde_json::Value;
+use std::{cell::Cell, collections::BTreeSet};
 
-use super::{IoError, soup::Soup, source::Source};
+use gltf::json;
+
+use super::{
+    IoError,
+    soup::Soup,
+    source::{Source, without_mark},
+};
 use container::Buffers;
 
 const REMEDY: &str = "export the model again and run it through the glTF validator";
@@ -38,8 +43,7 @@ pub(super) fn read_glb(source: &Source<'_>) -> Result<Soup, IoError> {
 
 /// Reads the JSON form.
 pub(super) fn read_gltf(source: &Source<'_>) -> Result<Soup, IoError> {
-    let json = source.bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(source.bytes);
-    read_document(source, json, None)
+    read_document(source, without_mark(source.bytes), None)
 }
 
 /// A parsed document and its buffers.
@@ -48,18 +52,8 @@ struct Document<'a> {
     root: json::Root,
     buffers: Buffers<'a>,
     compressed: Vec<draco::Carrier>,
-}
-
-/// What the schema drops: materials are kept word for word; textures, buffer views and primitives
-/// have extensions.
-#[derive(Default, Deserialize)]
-#[serde(default)]
-struct Verbatim {
-    materials: Vec<Value>,
-    textures: Vec<Value>,
-    #[serde(rename = "bufferViews")]
-    buffer_views: Vec<compressed::Carrier>,
-    meshes: Vec<draco::Carrier>,
+    /// Bytes of all values that no bytes of the file stand behind.
+    n_zero_bytes: Cell<u64>,
 }
 
 fn read_document(source: &Source<'_>, json: &[u8], bin: Option<&[u8]>) -> Result<Soup, IoError> {
@@ -68,23 +62,19 @@ fn read_document(source: &Source<'_>, json: &[u8], bin: Option<&[u8]>) -> Result
     let is_value = |b: &&u8| matches!(b, b',' | b'[' | b'{');
     let n_values = json.iter().filter(is_value).count() as u64;
     source.check_limit("JSON", "values", n_values, source.limits.max_json_values)?;
-    let malformed = |error: json::Error| {
-        let place = format!("JSON, line {} column {}", error.line(), error.column());
-        source.malformed(place, error.to_string(), REMEDY)
-    };
-    let root: json::Root = json::deserialize::from_slice(json).map_err(malformed)?;
-    let verbatim: Verbatim = json::deserialize::from_slice(json).map_err(malformed)?;
+    let (root, verbatim) = schema::parse(source, json)?;
     let mut soup = Soup::default();
     check_extensions(source, &root)?;
     let buffers = Buffers::load(source, &root, bin, verbatim.buffer_views)?;
-    let document = Document { source, root, buffers, compressed: verbatim.meshes };
+    let (compressed, n_zero_bytes) = (verbatim.meshes, Cell::new(0));
+    let document = Document { source, root, buffers, compressed, n_zero_bytes };
     texture::read_images(&document, &mut soup);
     texture::read_textures(&document, &verbatim.textures, &mut soup);
-    material::read_materials(&document, verbatim.materials, &mut soup);
+    let carried = material::read_materials(&document, verbatim.materials, &mut soup);
     for placement in scene::placements(&document, &mut soup)? {
         primitive::read_mesh(&document, &mut soup, &placement)?;
     }
-    note_what_is_left_out(&document.root, &mut soup);
+    note_what_is_left_out(&document.root, &carried, &mut soup);
     if soup.patches.is_empty() {
         return Err(source.no_triangles("no node of the scene places a mesh with triangles"));
     }
@@ -104,6 +94,20 @@ const HARMLESS: [&str; 9] = [
     "EXT_texture_webp",
 ];
 
+/// Extensions that are read. Those of materials are carried, whatever they are.
+const READ: [&str; 7] = [
+    "EXT_meshopt_compression",
+    "KHR_meshopt_compression",
+    "KHR_draco_mesh_compression",
+    "KHR_mesh_quantization",
+    "KHR_texture_basisu",
+    "KHR_texture_transform",
+    "EXT_texture_webp",
+];
+
+/// How many of the extensions in use are looked at.
+const MAX_NAMES: usize = 1024;
+
 /// Required extensions that are known, with what to do about them.
 const REFUSED: [(&str, &str); 1] =
     [("EXT_mesh_gpu_instancing", "save the model with one node per instance")];
@@ -119,10 +123,14 @@ fn check_extensions(source: &Source<'_>, root: &json::Root) -> Result<(), IoErro
     Err(source.unsupported(format!("the required extension {shown}"), remedy))
 }
 
-fn note_what_is_left_out(root: &json::Root, soup: &mut Soup) {
+/// `carried` has the extensions that materials are carried with.
+fn note_what_is_left_out(root: &json::Root, carried: &BTreeSet<String>, soup: &mut Soup) {
+    let read = root.scene.map_or(0, |scene| scene.value());
+    let others = root.scenes.iter().enumerate().filter(|(i, s)| *i != read && !s.nodes.is_empty());
     let rows = [
         (root.animations.len(), "animations_ignored", "animations are ignored"),
         (root.cameras.len(), "cameras_ignored", "cameras are ignored"),
+        (others.count(), "scenes_ignored", "scenes other than the default one are ignored"),
     ];
     for (n, code, text) in rows {
         if n > 0 {
@@ -137,10 +145,18 @@ fn note_what_is_left_out(root: &json::Root, soup: &mut Soup) {
             "its diffuse colour is drawn where a material has no base colour texture; the rest is \
              carried, not evaluated",
         ),
+        ("MSFT_lod", "levels_ignored", "the finest level is read, the others are left out"),
     ];
-    for (extension, code, text) in used {
-        if root.extensions_used.iter().any(|n| n == extension) {
+    // Some files name extensions of materials that none of theirs has.
+    let of_materials =
+        |name: &str| name.starts_with("KHR_materials_") && name != "KHR_materials_variants";
+    for name in root.extensions_used.iter().take(MAX_NAMES) {
+        if let Some((extension, code, text)) = used.into_iter().find(|(known, ..)| known == name) {
             soup.notes.add(code, format!("{extension}: {text}"));
+        } else if !READ.contains(&name.as_str()) && !carried.contains(name) && !of_materials(name) {
+            let shown: String = name.chars().take(64).collect();
+            let text = format!("extension {shown} is not read: what it says is left out");
+            soup.notes.add("extension_ignored", text);
         }
     }
 }

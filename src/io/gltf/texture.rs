@@ -105,6 +105,13 @@ pub(super) fn read_textures(document: &Document<'_>, verbatim: &[Value], soup: &
         let source = in_range(source, document.root.images.len(), &label, "image", soup);
         let newer = NEWER_FORMATS.iter().find_map(|name| extension(name));
         let newer = in_range(newer, document.root.images.len(), &label, "image", soup);
+        if let (None, Some(format)) = (newer.or(source), verbatim.get(i).and_then(unread_format)) {
+            let text = format!(
+                "{label} has its image by {format} alone, which is not read: it is left out; save \
+                 images as PNG, JPEG, WebP or KTX2 (Basis Universal)"
+            );
+            soup.notes.add("texture_format_ignored", text);
+        }
         let sampler = texture.sampler.map(|sampler| sampler.value());
         let sampler = in_range(sampler, document.root.samplers.len(), &label, "sampler", soup);
         let (wrap, filters) =
@@ -117,6 +124,15 @@ pub(super) fn read_textures(document: &Document<'_>, verbatim: &[Value], soup: &
             filters,
         });
     }
+}
+
+/// The first extension that names an image in a format that is not read.
+fn unread_format(texture: &Value) -> Option<String> {
+    let extensions = texture.get("extensions")?.as_object()?;
+    let is_unread = |name: &str| !NEWER_FORMATS.contains(&name);
+    let (name, _) =
+        extensions.iter().find(|(name, value)| is_unread(name) && value.get("source").is_some())?;
+    Some(name.chars().take(64).collect())
 }
 
 /// The index, unless it is out of range, which is noted.

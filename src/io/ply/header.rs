@@ -126,6 +126,9 @@ pub(super) fn parse(source: &Source<'_>) -> Result<Header, IoError> {
             }
             ["element", name, count] => {
                 let count = count.parse().map_err(|_| bad("the count is not a number"))?;
+                if elements.iter().any(|e| e.name == *name) {
+                    return Err(bad("there is an element of this name already"));
+                }
                 elements.push(Element { name: (*name).into(), count, properties: Vec::new() });
             }
             ["property", rest @ ..] => {

@@ -1,18 +1,20 @@
 //! PLY: ASCII, binary little and big endian.
 //!
 //! Read: positions, normals, texture coordinates and colours of the `vertex` element, polygons of
-//! the `face` element (split into fans from their first corner) and Stanford's `tristrips`.
+//! the `face` element (see `polygon`) and Stanford's `tristrips`.
 //! The vertex properties `lock` (not 0: the vertex stays) and `weight` mark vertices.
-//! Other elements and properties are passed over; vertex properties are named in a note. Integer
+//! Other elements and properties are passed over and named in notes. Integer
 //! colours are taken as sRGB, as Blender takes them, floating-point colours as linear.
 
 mod body;
 mod header;
 
+use std::ops::Range;
+
 use glam::DVec3;
 
 use super::{
-    IoError,
+    IoError, polygon,
     soup::{Attribute, Patch, PointMarks, Soup, defaults_of},
     source::Source,
 };
@@ -71,13 +73,15 @@ struct Body<'a, V> {
     soup: Soup,
     patch: Patch,
     n_vertices: u64,
+    /// Fans whose vertices come later in the file, as ranges of triangles.
+    unsettled: Vec<Range<usize>>,
 }
 
 impl<'a, V: Values> Body<'a, V> {
     fn new(source: &'a Source<'a>, values: V) -> Self {
         let patch = Patch { place: "element vertex".to_owned(), ..Patch::default() };
         let soup = Soup::of_one_instance();
-        Self { source, values, soup, patch, n_vertices: 0 }
+        Self { source, values, soup, patch, n_vertices: 0, unsettled: Vec::new() }
     }
 
     fn read(mut self, header: &Header) -> Result<Soup, IoError> {
@@ -93,10 +97,13 @@ impl<'a, V: Values> Body<'a, V> {
             self.check_length(element)?;
             match element.name.as_str() {
                 "vertex" => self.read_vertices(element)?,
-                "face" => self.read_lists(element, add_fan)?,
-                "tristrips" => self.read_lists(element, add_strips)?,
+                "face" => self.read_lists(element, Shape::Polygon)?,
+                "tristrips" => self.read_lists(element, Shape::Strips)?,
                 _ => self.skip(element)?,
             }
+        }
+        for fan in std::mem::take(&mut self.unsettled) {
+            self.settle(fan);
         }
         self.soup.push(self.source, self.patch)?;
         Ok(self.soup)
@@ -151,10 +158,15 @@ impl<'a, V: Values> Body<'a, V> {
         };
         let slots: Vec<_> = element.properties.iter().map(slot_of).collect();
         for (property, _) in element.properties.iter().zip(&slots).filter(|(_, s)| s.is_none()) {
-            let text = format!("vertex property '{}' is not carried", property.name);
-            self.soup.notes.add("property_ignored", text);
+            self.note_ignored(element, property);
         }
         slots
+    }
+
+    fn note_ignored(&mut self, element: &Element, property: &Property) {
+        let shown: String = property.name.chars().take(64).collect();
+        let text = format!("{} property '{shown}' is not carried", element.name);
+        self.soup.notes.add("property_ignored", text);
     }
 
     /// The value of a scalar property; passes over a list.
@@ -193,12 +205,8 @@ impl<'a, V: Values> Body<'a, V> {
         Ok(n as u64)
     }
 
-    /// Rows of polygons or strips, which `add` turns into triangles.
-    fn read_lists(
-        &mut self,
-        element: &Element,
-        add: fn(&[i64], &mut Vec<[i64; 3]>),
-    ) -> Result<(), IoError> {
+    /// Rows of polygons or strips.
+    fn read_lists(&mut self, element: &Element, shape: Shape) -> Result<(), IoError> {
         let is_indices =
             |p: &Property| matches!(p.name.as_str(), "vertex_indices" | "vertex_index");
         if !element.properties.iter().any(|p| is_indices(p) && matches!(p.kind, Kind::List { .. }))
@@ -206,9 +214,11 @@ impl<'a, V: Values> Body<'a, V> {
             let problem = "no list property 'vertex_indices'";
             return Err(self.source.malformed(self.place(element, 0), problem, REMEDY));
         }
+        for property in element.properties.iter().filter(|p| !is_indices(p)) {
+            self.note_ignored(element, property);
+        }
         let (mut list, mut triangles) = (Vec::new(), Vec::new());
         for row in 0..element.count {
-            triangles.clear();
             for property in &element.properties {
                 let Kind::List { count, item } = property.kind else {
                     self.value(property, element, row)?;
@@ -223,11 +233,42 @@ impl<'a, V: Values> Body<'a, V> {
                     let index = self.values.next(item);
                     list.push(index.ok_or_else(|| self.bad_value(element, row))? as i64);
                 }
-                add(&list, &mut triangles);
+                triangles.clear();
+                shape.split(&list, &mut triangles);
+                self.take(&triangles, element, row)?;
+                if shape == Shape::Polygon && triangles.len() > 1 {
+                    self.take_fan(triangles.len());
+                }
             }
-            self.take(&triangles, element, row)?;
         }
         Ok(())
+    }
+
+    /// Notes that the last triangles are a polygon, or settles which they are.
+    fn take_fan(&mut self, n_triangles: usize) {
+        let end = self.patch.triangles.len();
+        let fan = end.saturating_sub(n_triangles)..end;
+        if self.patch.positions.is_empty() {
+            self.unsettled.push(fan);
+        } else {
+            self.settle(fan);
+        }
+    }
+
+    /// Splits a polygon that is a fan so far as its corners lie.
+    fn settle(&mut self, fan: Range<usize>) {
+        let Some(triangles) = self.patch.triangles.get_mut(fan) else { return };
+        let first = triangles.iter().take(1).flat_map(|[a, b, _]| [*a, *b]);
+        let corners: Vec<u32> = first.chain(triangles.iter().map(|[_, _, c]| *c)).collect();
+        let place = |corner: &u32| self.patch.positions.get(*corner as usize).copied();
+        // A vertex that is not there is refused later.
+        let Some(places) = corners.iter().map(place).collect::<Option<Vec<DVec3>>>() else {
+            return;
+        };
+        let split = polygon::triangulate(&places, &mut self.soup.notes);
+        for (triangle, of_corners) in triangles.iter_mut().zip(split) {
+            *triangle = of_corners.map(|i| corners[i]);
+        }
     }
 
     fn take(&mut self, triangles: &[[i64; 3]], element: &Element, row: u64) -> Result<(), IoError> {
@@ -270,6 +311,23 @@ impl<'a, V: Values> Body<'a, V> {
             return self.source.truncated(place, 1, 0);
         }
         self.source.malformed(place, "cannot read a number", REMEDY)
+    }
+}
+
+/// What a list of indices stands for.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Shape {
+    Polygon,
+    Strips,
+}
+
+impl Shape {
+    /// Adds the triangles of a list, those of a polygon as a fan.
+    fn split(self, list: &[i64], triangles: &mut Vec<[i64; 3]>) {
+        match self {
+            Self::Polygon => add_fan(list, triangles),
+            Self::Strips => add_strips(list, triangles),
+        }
     }
 }
 

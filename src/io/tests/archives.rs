@@ -7,7 +7,7 @@ use flate2::{Compression, write::DeflateEncoder};
 use super::*;
 use crate::{
     io::write_glb,
-    mesh::{Semantic, TextureUse, WedgeId, Wrap},
+    mesh::{Material, Semantic, TextureUse, WedgeId, Wrap},
 };
 
 /// A file in an archive, with what the archive says of it.
@@ -129,6 +129,50 @@ fn what_an_obj_lacks_or_has_besides_is_noted() {
     let shown = &ingest.mesh.materials[0];
     assert_eq!(shown.base_texture.unwrap().transform, TextureUse::IDENTITY);
     assert_eq!(shown.base_color, [1.0; 4]);
+}
+
+/// What a material gives off is kept; what is not evaluated is named where it says anything.
+#[test]
+fn emission_and_shading_of_obj() {
+    let mtl = "newmtl a\nKd 0 0 0\nKe 2 1 0\nKs 0 0 0\nPm 0\nmap_Kd -s 2 3 -o 0.5 0.25 a.png\n\
+               newmtl b\nKd 0 0 0\nKe 1\nmap_Ke a.png\nKs 0.5 0 0\nPr 0\n";
+    let ingest = read_obj(mtl, &[stored("a.png", &png())]);
+    let expected = [
+        "textures_not_evaluated",
+        "shading_not_evaluated",
+        "black_factor_ignored",
+        "emission_ignored",
+        "read_from_archive",
+    ];
+    assert_eq!(codes(&ingest), expected);
+    let mesh = ingest.mesh;
+    let factors = |mesh: &Mesh| -> Vec<_> {
+        mesh.materials.iter().map(|m| m.emission().map(|light| light.factor)).collect()
+    };
+    assert_eq!(factors(&mesh), [Some([2.0, 1.0, 0.0]), None]);
+    let again = load("a.glb", &write_glb(&mesh).unwrap()).unwrap().mesh;
+    assert_eq!(factors(&again), factors(&mesh));
+    let fields = |m: &Material| (m.name.clone(), m.base_color, m.base_texture, m.double_sided);
+    assert_eq!(fields(&again.materials[0]), fields(&mesh.materials[0]));
+    assert_eq!(mesh.materials[0].source, again.materials[0].source);
+}
+
+/// A `#` in a name begins no comment, in neither file.
+#[test]
+fn names_may_have_number_signs() {
+    let obj = OBJ.replace("My Paint.mtl", "Paint #1.mtl");
+    let obj = obj.replace("usemtl a", "usemtl Mat #1").replace("usemtl b", "usemtl Mat #2");
+    let mtl = "\u{feff}newmtl Mat #1\nKd 1 0 0 # red\nnewmtl Mat #2\nmap_Kd tex #1.png\n";
+    let members = [
+        stored("x.obj", obj.as_bytes()),
+        stored("Paint #1.mtl", mtl.as_bytes()),
+        stored("tex #1.png", &png()),
+    ];
+    let ingest = load("a.zip", &pack(&members)).unwrap();
+    assert_eq!(codes(&ingest), ["read_from_archive"]);
+    let [red, shown] = &ingest.mesh.materials[..] else { panic!("{:?}", ingest.mesh.materials) };
+    assert_eq!((red.base_color, red.base_texture), ([1.0, 0.0, 0.0, 1.0], None));
+    assert!(shown.base_texture.is_some());
 }
 
 /// Directories decide where the name alone does not; those that lead outside lead nowhere.

@@ -136,7 +136,9 @@ fn limits_hold_before_anything_is_allocated() {
     check("a.ply", ply, "TRUNCATED_FILE", "4000000000 rows");
     let mut stl = vec![0; 84];
     stl[80..84].copy_from_slice(&u32::MAX.to_le_bytes());
-    check("a.stl", &stl, "UNKNOWN_FORMAT", "not a STL file");
+    check("a.stl", &stl, "TRUNCATED_FILE", "4294967295 binary facets: 214748364834 bytes");
+    check("a", &stl, "UNKNOWN_FORMAT", "unknown format");
+    check("a.stl", &[b'?'; 99], "UNKNOWN_FORMAT", "not a STL file");
 }
 
 #[test]
@@ -154,6 +156,8 @@ fn text_formats_name_the_line() {
     check("a.ply", &ply("0\n3 0 0\n"), "TRUNCATED_FILE", "element face, row 0");
     check("a.ply", b"ply\nformat ascii 1.0\n", "MALFORMED_FILE", "end_header");
     check("a.ply", b"ply\nelement vertex x\n", "MALFORMED_FILE", "header, line 2");
+    let twice = head.replace("element face", "element vertex 1\nproperty float x\nelement face");
+    check("a.ply", twice.as_bytes(), "MALFORMED_FILE", "header, line 5: there is an element");
     let stl = b"solid s\nfacet normal 0 0 1\nouter loop\nvertex 0 0\n";
     check("a.stl", stl, "MALFORMED_FILE", "line 4");
 }

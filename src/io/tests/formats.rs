@@ -62,7 +62,9 @@ fn ply_in_three_encodings() {
         assert!((color[2] - 0.503).abs() < 1e-3, "sRGB 188 is about half the light");
         assert_eq!(color[3], 1.0);
         let codes: Vec<_> = report.notes.iter().map(|n| n.code).collect();
-        assert_eq!(codes, ["property_ignored", "property_ignored", "element_ignored"]);
+        let ignored = "property_ignored";
+        assert_eq!(codes, [ignored, ignored, "element_ignored", ignored]);
+        assert_eq!(report.notes[3].text, "face property 'kind' is not carried");
     }
 }
 
@@ -102,6 +104,40 @@ fn obj_polygons_materials_and_attributes() {
     assert_eq!(codes, ["mtllib_ignored", "short_faces"]);
 }
 
+/// A byte-order mark, comments that end with a backslash, and a last line that does.
+#[test]
+fn obj_comments_and_marks() {
+    let text = "\u{feff}v 0 0 0 # at c:\\here\\\nv 1 0 0#x\n # C:\\models\\\nv 0 1 0\n\
+        usemtl Mat #1\nf 1 2 3 # one\nusemtl Mat #2\nv 1 1 0\nf 2 \\\n4 3 \\";
+    let Ingest { mesh, .. } = load("a.obj", text.as_bytes()).unwrap();
+    assert_eq!(mesh.faces, vec![[0, 1, 2], [1, 3, 2]]);
+    let names: Vec<_> = mesh.materials.iter().map(|m| m.name.as_str()).collect();
+    assert_eq!(names, ["Mat #1", "Mat #2"]);
+    assert_eq!(mesh.face_materials, [0, 1]);
+}
+
+/// An L, from OBJ and from PLY whose vertices come before and after its polygon: it is covered once.
+#[test]
+fn concave_polygons() {
+    let corners = "4 0 0\n4 1 0\n1 1 0\n1 4 0\n0 4 0\n0 0 0\n";
+    let lines = corners.trim_end().replace('\n', "\nv ");
+    let obj = format!("v {lines}\nf 1 2 3 4 5 6\n");
+    let vertex = "element vertex 6\nproperty float x\nproperty float y\nproperty float z\n";
+    let face = "element face 1\nproperty list uchar int vertex_indices\n";
+    let (head, row) = ("ply\nformat ascii 1.0\n", "6 0 1 2 3 4 5\n");
+    let before = format!("{head}{vertex}{face}end_header\n{corners}{row}");
+    let after = format!("{head}{face}{vertex}end_header\n{row}{corners}");
+    for (name, text) in [("a.obj", obj), ("a.ply", before), ("a.ply", after)] {
+        let mesh = load(name, text.as_bytes()).unwrap().mesh;
+        let areas = mesh.faces.iter().map(|t| {
+            let [a, b, c] = t.map(|v| mesh.positions[v as usize]);
+            (b - a).cross(c - a).z / 2.0
+        });
+        assert!(areas.clone().all(|area| area > 0.0), "{:?}", mesh.faces);
+        assert_eq!((mesh.faces.len(), areas.sum::<f64>()), (4, 7.0));
+    }
+}
+
 #[test]
 fn obj_vertex_colours() {
     let text = "v 0 0 0\nv 1 0 0 1 0 0\nv 0 1 0 0 1 0\nv 2 2 2\nf 1 2 3\n";
@@ -134,6 +170,12 @@ fn stl_in_both_kinds() {
     assert_eq!(from_text.faces, vec![[0, 1, 2], [0, 2, 3]]);
     assert_eq!(load("a.stl", &binary).unwrap().mesh, from_text);
     assert_eq!(load("unnamed", &binary).unwrap().report.notes[0].code, "format_by_content");
+    let capitals = format!("\u{feff}\n {}", text.to_ascii_uppercase());
+    assert_eq!(load("a.stl", capitals.as_bytes()).unwrap().mesh, from_text);
+    let longer = load("a.stl", &[&binary[..], b"facet"].concat()).unwrap();
+    assert_eq!((longer.mesh, longer.report.notes[0].code), (from_text, "trailing_bytes"));
+    let shorter = error_of("a.stl", &binary[..binary.len() - 1]);
+    assert!(shorter.to_string().contains("2 binary facets: 184 bytes are needed but 183 are"));
     let cut = text.replace("  vertex 0 1 0\r\n", "");
     assert!(error_of("a.stl", cut.as_bytes()).to_string().contains("2 vertices instead of 3"));
 }

@@ -102,6 +102,55 @@ fn quantized_strided_and_sparse_accessors() {
     assert_eq!(colors.get(WedgeId(3)), &[0.2, 0.2, 0.2, 1.0]);
 }
 
+/// What the schema refuses though it is legal, or is never read.
+#[test]
+fn parts_that_nobody_reads_may_be_anything() {
+    let plain = load("x.glb", &square_glb()).unwrap().mesh;
+    let target = json!({ "path": "pointer",
+        "extensions": { "KHR_animation_pointer": { "pointer": "/nodes/0/scale" } } });
+    let animations = json!([{ "samplers": [{ "input": 0, "output": 0 }],
+        "channels": [{ "sampler": 0, "target": target }] }]);
+    let cameras = json!([{ "type": "perspective", "perspective": {} }]);
+    let scenes = json!([{ "nodes": [0] }, { "name": "empty" }]);
+    for (key, list, codes) in [
+        ("animations", &animations, &["animations_ignored"][..]),
+        ("cameras", &cameras, &["cameras_ignored"]),
+        ("scenes", &scenes, &[]),
+    ] {
+        let mut json = square_json();
+        json[key] = list.clone();
+        json["accessors"][0]["count"] = 4.0.into();
+        let Ingest { mesh, report, .. } = load("x.glb", &glb(&json, &square_bin())).unwrap();
+        assert_eq!(mesh, plain, "{key}");
+        assert_eq!(report.notes.iter().map(|n| n.code).collect::<Vec<_>>(), codes, "{key}");
+    }
+    let mut json = square_json();
+    json["bufferViews"][0]["byteLength"] = "four".into();
+    let error = error_of("x.glb", &glb(&json, &square_bin())).to_string();
+    assert!(error.contains("JSON, line 1 column") && error.contains("string \"four\""), "{error}");
+    json["animations"] = animations;
+    let error = error_of("x.glb", &glb(&json, &square_bin())).to_string();
+    assert!(error.contains("string \"four\""), "{error}");
+}
+
+/// An accessor that names no bytes is all zeros, of which there may be so many.
+#[test]
+fn accessors_without_bytes_are_zeros() {
+    let mut json = square_json();
+    let zeros = json!({ "componentType": 5126, "count": 4, "type": "VEC2" });
+    json["accessors"].as_array_mut().unwrap().push(zeros);
+    json["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"] = 2.into();
+    let mesh = load("x.glb", &glb(&json, &square_bin())).unwrap().mesh;
+    let layer = mesh.layer(Semantic::TexCoord(0)).unwrap();
+    assert_eq!(layer.values, [0.0; 8]);
+    json["accessors"][1] = json!({ "componentType": 5125, "count": 3000, "type": "SCALAR" });
+    let bytes = glb(&json, &square_bin());
+    assert_eq!(error_of("x.glb", &bytes).code(), "NO_TRIANGLES");
+    let limits = Limits { max_bytes: 11_999, ..Limits::default() };
+    let error = read("x.glb", &bytes, &limits).unwrap_err().to_string();
+    assert!(error.contains("indices: 12000 bytes of zeros are over the limit"), "{error}");
+}
+
 #[test]
 fn materials_and_what_is_left_out() {
     let mut json = square_json();
@@ -258,4 +307,29 @@ fn vertices_are_locked_and_weighed_by_attributes() {
     json["accessors"][2]["count"] = 3.into();
     let error = error_of("x.glb", &glb(&json, &bin)).to_string();
     assert!(error.contains("_LOCK") && error.contains("3 values for 4 positions"), "{error}");
+}
+
+/// Each of these says something that does not reach the mesh, but for the extension of a material.
+#[test]
+fn what_extensions_and_scenes_say_is_named() {
+    let bytes = textured_glb(&[png(), png()], |json| {
+        json["extensionsUsed"] =
+            json!(["KHR_lights_punctual", "ACME_material", "KHR_mesh_quantization", "MSFT_lod"]);
+        json["materials"][0]["extensions"] = json!({ "ACME_material": { "k": 1 } });
+        json["scenes"] = json!([{ "nodes": [0] }, { "nodes": [1] }]);
+        json["nodes"].as_array_mut().unwrap().push(json!({}));
+        json["textures"] = json!([
+            { "extensions": { "EXT_texture_avif": { "source": 0 } } },
+            { "source": 1, "extensions": { "MSFT_texture_dds": { "source": 0 } } },
+        ]);
+    });
+    let Ingest { mesh, report, .. } = load("x.glb", &bytes).unwrap();
+    let text: Vec<_> = report.notes.iter().map(|n| (n.code, n.text.as_str())).collect();
+    let codes: Vec<_> = text.iter().map(|(code, _)| *code).collect();
+    let expected =
+        ["texture_format_ignored", "scenes_ignored", "extension_ignored", "levels_ignored"];
+    assert_eq!(codes, expected);
+    assert!(text[0].1.starts_with("texture 0 has its image by EXT_texture_avif alone"), "{text:?}");
+    assert!(text[2].1.starts_with("extension KHR_lights_punctual is not read"), "{text:?}");
+    assert_eq!((mesh.textures[0].image, mesh.textures[1].image), (None, Some(1)));
 }
