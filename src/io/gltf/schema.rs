@@ -52,8 +52,10 @@ fn of_value(document: Value) -> Result<(Root, Verbatim), Error> {
     Ok((deserialize::from_value(document)?, verbatim))
 }
 
+type Mend = fn(&mut Value);
+
 /// Lists of the document, and what is done to each of their entries.
-const MENDS: [(&str, fn(&mut Value)); 3] = [
+const MENDS: [(&str, Mend); 3] = [
     // These two are counted, not read.
     ("animations", |animation| *animation = json!({ "channels": [], "samplers": [] })),
     ("cameras", |camera| *camera = json!({ "type": "perspective" })),
