@@ -263,7 +263,7 @@ pub(super) fn apply(
     names: &[(u32, &[u8])],
     soup: &mut Soup,
 ) -> Result<(), IoError> {
-    let mut textures = Textures { archive, images: HashMap::new(), by_wrap: HashMap::new() };
+    let mut textures = Textures::new(archive);
     for (index, name) in names {
         let Some(definition) = library.get(*name) else {
             let shown: String = String::from_utf8_lossy(name).chars().take(64).collect();
@@ -283,7 +283,7 @@ pub(super) fn apply(
 }
 
 /// Images and textures that are in the soup already.
-struct Textures<'a> {
+pub(super) struct Textures<'a> {
     archive: &'a Archive<'a>,
     /// Images by entry of the archive.
     images: HashMap<usize, u32>,
@@ -291,7 +291,22 @@ struct Textures<'a> {
     by_wrap: HashMap<(u32, bool), u32>,
 }
 
-impl Textures<'_> {
+impl<'a> Textures<'a> {
+    pub(super) fn new(archive: &'a Archive<'a>) -> Self {
+        Self { archive, images: HashMap::new(), by_wrap: HashMap::new() }
+    }
+
+    /// An image of the archive as it is; `None`, with a note, where it is not there.
+    pub(super) fn plain(
+        &mut self,
+        file: &str,
+        soup: &mut Soup,
+    ) -> Result<Option<TextureUse>, IoError> {
+        let map =
+            Map { file: file.to_owned(), scale: [1.0; 2], offset: [0.0; 2], is_clamped: false };
+        self.texture_use(&map, soup)
+    }
+
     fn image(&mut self, entry: usize, soup: &mut Soup) -> Result<u32, IoError> {
         if let Some(image) = self.images.get(&entry) {
             return Ok(*image);

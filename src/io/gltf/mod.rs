@@ -137,6 +137,10 @@ fn note_what_is_left_out(root: &json::Root, carried: &BTreeSet<String>, soup: &m
             soup.notes.add(code, text);
         }
     }
+    note_extensions(root, carried, soup);
+}
+
+fn note_extensions(root: &json::Root, carried: &BTreeSet<String>, soup: &mut Soup) {
     let used = [
         ("EXT_mesh_gpu_instancing", "instancing_ignored", "each node is placed once"),
         (

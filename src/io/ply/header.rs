@@ -98,6 +98,8 @@ pub(super) struct Element {
 pub(super) struct Header {
     pub(super) encoding: Encoding,
     pub(super) elements: Vec<Element>,
+    /// Names of images, as MeshLab writes them in comments.
+    pub(super) texture_files: Vec<String>,
     /// Where the values begin.
     pub(super) body_offset: usize,
     /// Lines of the header.
@@ -109,6 +111,7 @@ pub(super) fn parse(source: &Source<'_>) -> Result<Header, IoError> {
     let text = &source.bytes[..source.bytes.len().min(MAX_HEADER_BYTES)];
     let mut encoding = None;
     let mut elements: Vec<Element> = Vec::new();
+    let mut texture_files = Vec::new();
     let mut offset = 0;
     let mut n_lines = 0;
     while let Some(length) = text[offset..].iter().position(|b| *b == b'\n') {
@@ -120,6 +123,10 @@ pub(super) fn parse(source: &Source<'_>) -> Result<Header, IoError> {
             source.malformed(format!("header, line {n_lines}"), problem.to_owned(), REMEDY)
         };
         match words.as_slice() {
+            ["comment", "TextureFile", _, ..] => {
+                let name = line.split_once("TextureFile").map_or("", |(_, name)| name.trim());
+                texture_files.push(name.to_owned());
+            }
             [] | ["ply" | "comment" | "obj_info", ..] => {}
             ["format", name, ..] => {
                 encoding = Some(encoding_named(name).ok_or_else(|| bad("unknown encoding"))?);
@@ -138,7 +145,8 @@ pub(super) fn parse(source: &Source<'_>) -> Result<Header, IoError> {
             }
             ["end_header"] => {
                 let encoding = encoding.ok_or_else(|| bad("no line 'format'"))?;
-                return Ok(Header { encoding, elements, body_offset: offset, n_lines });
+                let body_offset = offset;
+                return Ok(Header { encoding, elements, texture_files, body_offset, n_lines });
             }
             _ => return Err(bad("unknown keyword")),
         }

@@ -1,12 +1,14 @@
 //! PLY: ASCII, binary little and big endian.
 //!
 //! Read: positions, normals, texture coordinates and colours of the `vertex` element, polygons of
-//! the `face` element (see `polygon`) and Stanford's `tristrips`.
+//! the `face` element (see `polygon`) with texture coordinates of their corners (`texcoord`), and Stanford's
+//! `tristrips`. What MeshLab calls `TextureFile` is looked for in the archive that the file is in.
 //! The vertex properties `lock` (not 0: the vertex stays) and `weight` mark vertices.
 //! Other elements and properties are passed over and named in notes. Integer
 //! colours are taken as sRGB, as Blender takes them, floating-point colours as linear.
 
 mod body;
+mod faces;
 mod header;
 
 use std::ops::Range;
@@ -14,12 +16,14 @@ use std::ops::Range;
 use glam::DVec3;
 
 use super::{
-    IoError, polygon,
-    soup::{Attribute, Patch, PointMarks, Soup, defaults_of},
+    IoError,
+    mtl::Textures,
+    soup::{Attribute, Patch, PatchMaterials, PointMarks, Soup, defaults_of},
     source::Source,
 };
-use crate::mesh::Semantic;
+use crate::mesh::{Material, Semantic};
 use body::{AsciiValues, BinaryValues, Values};
+use faces::{Shape, Uvs};
 use header::{Element, Encoding, Header, Kind, Property};
 
 const REMEDY: &str = "export the model again, as binary PLY if possible";
@@ -75,13 +79,25 @@ struct Body<'a, V> {
     n_vertices: u64,
     /// Fans whose vertices come later in the file, as ranges of triangles.
     unsettled: Vec<Range<usize>>,
+    /// By triangle, where faces have any.
+    uvs: Vec<Uvs>,
+    /// Which texture file each triangle shows, where faces say so.
+    textures: Vec<u32>,
 }
 
 impl<'a, V: Values> Body<'a, V> {
     fn new(source: &'a Source<'a>, values: V) -> Self {
         let patch = Patch { place: "element vertex".to_owned(), ..Patch::default() };
-        let soup = Soup::of_one_instance();
-        Self { source, values, soup, patch, n_vertices: 0, unsettled: Vec::new() }
+        Self {
+            source,
+            values,
+            soup: Soup::of_one_instance(),
+            patch,
+            n_vertices: 0,
+            unsettled: Vec::new(),
+            uvs: Vec::new(),
+            textures: Vec::new(),
+        }
     }
 
     fn read(mut self, header: &Header) -> Result<Soup, IoError> {
@@ -105,6 +121,8 @@ impl<'a, V: Values> Body<'a, V> {
         for fan in std::mem::take(&mut self.unsettled) {
             self.settle(fan);
         }
+        self.give_uvs();
+        self.give_textures(&header.texture_files)?;
         self.soup.push(self.source, self.patch)?;
         Ok(self.soup)
     }
@@ -205,82 +223,28 @@ impl<'a, V: Values> Body<'a, V> {
         Ok(n as u64)
     }
 
-    /// Rows of polygons or strips.
-    fn read_lists(&mut self, element: &Element, shape: Shape) -> Result<(), IoError> {
-        let is_indices =
-            |p: &Property| matches!(p.name.as_str(), "vertex_indices" | "vertex_index");
-        if !element.properties.iter().any(|p| is_indices(p) && matches!(p.kind, Kind::List { .. }))
-        {
-            let problem = "no list property 'vertex_indices'";
-            return Err(self.source.malformed(self.place(element, 0), problem, REMEDY));
+    /// Makes materials of the images that the header names.
+    fn give_textures(&mut self, files: &[String]) -> Result<(), IoError> {
+        if files.is_empty() {
+            return Ok(());
         }
-        for property in element.properties.iter().filter(|p| !is_indices(p)) {
-            self.note_ignored(element, property);
-        }
-        let (mut list, mut triangles) = (Vec::new(), Vec::new());
-        for row in 0..element.count {
-            for property in &element.properties {
-                let Kind::List { count, item } = property.kind else {
-                    self.value(property, element, row)?;
-                    continue;
-                };
-                if !is_indices(property) {
-                    self.value(property, element, row)?;
-                    continue;
-                }
-                list.clear();
-                for _ in 0..self.list_length(count, element, row)? {
-                    let index = self.values.next(item);
-                    list.push(index.ok_or_else(|| self.bad_value(element, row))? as i64);
-                }
-                triangles.clear();
-                shape.split(&list, &mut triangles);
-                self.take(&triangles, element, row)?;
-                if shape == Shape::Polygon && triangles.len() > 1 {
-                    self.take_fan(triangles.len());
-                }
-            }
-        }
-        Ok(())
-    }
-
-    /// Notes that the last triangles are a polygon, or settles which they are.
-    fn take_fan(&mut self, n_triangles: usize) {
-        let end = self.patch.triangles.len();
-        let fan = end.saturating_sub(n_triangles)..end;
-        if self.patch.positions.is_empty() {
-            self.unsettled.push(fan);
-        } else {
-            self.settle(fan);
-        }
-    }
-
-    /// Splits a polygon that is a fan so far as its corners lie.
-    fn settle(&mut self, fan: Range<usize>) {
-        let Some(triangles) = self.patch.triangles.get_mut(fan) else { return };
-        let first = triangles.iter().take(1).flat_map(|[a, b, _]| [*a, *b]);
-        let corners: Vec<u32> = first.chain(triangles.iter().map(|[_, _, c]| *c)).collect();
-        let place = |corner: &u32| self.patch.positions.get(*corner as usize).copied();
-        // A vertex that is not there is refused later.
-        let Some(places) = corners.iter().map(place).collect::<Option<Vec<DVec3>>>() else {
-            return;
+        let Some(archive) = self.source.beside else {
+            let text = "texture files are other files: all is white; send a ZIP of the PLY with \
+                        its images";
+            self.soup.notes.add("texture_files_ignored", text);
+            return Ok(());
         };
-        let split = polygon::triangulate(&places, &mut self.soup.notes);
-        for (triangle, of_corners) in triangles.iter_mut().zip(split) {
-            *triangle = of_corners.map(|i| corners[i]);
+        let mut textures = Textures::new(archive);
+        for file in files {
+            let base_texture = textures.plain(file, &mut self.soup)?;
+            let name = file.clone();
+            self.soup.materials.push(Material { name, base_texture, ..Material::default() });
         }
-    }
-
-    fn take(&mut self, triangles: &[[i64; 3]], element: &Element, row: u64) -> Result<(), IoError> {
-        self.soup.claim(self.source, "element face", 0, triangles.len() as u64)?;
-        for triangle in triangles {
-            if let Some(&index) =
-                triangle.iter().find(|i| !(0..self.n_vertices as i64).contains(*i))
-            {
-                let place = self.place(element, row);
-                return Err(self.source.out_of_range(place, "vertices", index, self.n_vertices));
-            }
-            self.patch.triangles.push(triangle.map(|i| i as u32));
+        if !self.textures.is_empty() {
+            let known =
+                |texture: &u32| if (*texture as usize) < files.len() { *texture } else { 0 };
+            let list = self.textures.iter().map(known).collect();
+            self.patch.materials = PatchMaterials::Each(list);
         }
         Ok(())
     }
@@ -311,39 +275,6 @@ impl<'a, V: Values> Body<'a, V> {
             return self.source.truncated(place, 1, 0);
         }
         self.source.malformed(place, "cannot read a number", REMEDY)
-    }
-}
-
-/// What a list of indices stands for.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Shape {
-    Polygon,
-    Strips,
-}
-
-impl Shape {
-    /// Adds the triangles of a list, those of a polygon as a fan.
-    fn split(self, list: &[i64], triangles: &mut Vec<[i64; 3]>) {
-        match self {
-            Self::Polygon => add_fan(list, triangles),
-            Self::Strips => add_strips(list, triangles),
-        }
-    }
-}
-
-fn add_fan(list: &[i64], triangles: &mut Vec<[i64; 3]>) {
-    if let Some((first, rest)) = list.split_first() {
-        triangles.extend(rest.windows(2).map(|pair| [*first, pair[0], pair[1]]));
-    }
-}
-
-/// Strips are separated by −1; every second triangle is turned.
-fn add_strips(list: &[i64], triangles: &mut Vec<[i64; 3]>) {
-    for strip in list.split(|i| *i == -1) {
-        triangles.extend(strip.windows(3).enumerate().map(|(i, t)| match i % 2 {
-            0 => [t[0], t[1], t[2]],
-            _ => [t[1], t[0], t[2]],
-        }));
     }
 }
 

@@ -157,6 +157,33 @@ fn emission_and_shading_of_obj() {
     assert_eq!(mesh.materials[0].source, again.materials[0].source);
 }
 
+/// Two triangles of the square, which show the second and the first of two images, and one image that is not there.
+#[test]
+fn ply_with_its_images() {
+    let text = "ply\nformat ascii 1.0\ncomment TextureFile a 1.png\ncomment TextureFile b.png\n\
+        comment TextureFile gone.png\nelement vertex 4\nproperty float x\nproperty float y\n\
+        property float z\nelement face 2\nproperty list uchar int vertex_indices\n\
+        property list uchar float texcoord\nproperty int texnumber\nend_header\n\
+        0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2 6 0 0 1 0 1 1 1\n3 0 2 3 6 0 0 1 1 0 1 9\n";
+    let other = encoded(ImageFormat::Png, [1, 1], [0; 3]);
+    let members = [
+        stored("x.ply", text.as_bytes()),
+        stored("A 1.png", &png()),
+        stored("textures/b.png", &other),
+    ];
+    let ingest = load("a.zip", &pack(&members)).unwrap();
+    assert_eq!(codes(&ingest), ["image_missing", "read_from_archive"]);
+    let mesh = ingest.mesh;
+    // There is no tenth image.
+    assert_eq!(mesh.face_materials, [1, 0]);
+    let of = |m: &Material| m.base_texture.map(|at| (at.texture, at.transform));
+    let shown: Vec<_> = mesh.materials.iter().map(of).collect();
+    let identity = TextureUse::IDENTITY;
+    assert_eq!(shown, [Some((0, identity)), Some((1, identity)), None]);
+    assert_eq!((&mesh.images[0].bytes[..], &mesh.images[1].bytes[..]), (&png()[..], &other[..]));
+    assert_eq!(mesh.n_wedges(), 4);
+}
+
 /// A `#` in a name begins no comment, in neither file.
 #[test]
 fn names_may_have_number_signs() {

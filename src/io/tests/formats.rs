@@ -138,6 +138,38 @@ fn concave_polygons() {
     }
 }
 
+/// An L as one polygon, a triangle that has other coordinates at one of its corners, and one that has none; those of
+/// the vertices give way.
+#[test]
+fn ply_coordinates_of_corners() {
+    let head = "ply\nformat ascii 1.0\ncomment TextureFile a.png\nelement vertex 7\n\
+        property float x\nproperty float y\nproperty float z\nproperty uchar lock\n\
+        property float s\nproperty float t\nelement face 3\nproperty list uchar float texcoord\n\
+        property list uchar int vertex_indices\nproperty int texnumber\nend_header\n";
+    let outline = [[4, 0], [4, 1], [1, 1], [1, 4], [0, 4], [0, 0]];
+    let rows: Vec<String> = outline.iter().map(|[x, y]| format!("{x} {y} 0 0 9 9\n")).collect();
+    let uvs: Vec<String> = outline.iter().map(|[x, y]| format!("{x} {y} ")).collect();
+    let (rows, uvs) = (rows.concat(), uvs.concat());
+    let text = format!(
+        "{head}{rows}9 9 0 1 9 9\n12 {uvs}6 0 1 2 3 4 5 0\n6 8 8 4 1 9 9 3 0 1 6 0\n0 3 1 3 6 0\n"
+    );
+    let Ingest { mesh, marks, report } = load("a.ply", text.as_bytes()).unwrap();
+    let layer = mesh.layer(Semantic::TexCoord(0)).unwrap();
+    for (face, wedges) in mesh.faces.iter().zip(&mesh.face_wedges).take(4) {
+        for (vertex, wedge) in face.iter().zip(wedges) {
+            let p = mesh.positions[*vertex as usize];
+            assert_eq!(layer.get(WedgeId(*wedge)), &[p.x as f32, 1.0 - p.y as f32]);
+        }
+    }
+    assert_eq!(layer.get(WedgeId(mesh.face_wedges[4][0])), &[8.0, -7.0]);
+    // Six of the L; two of the next triangle, which has those of the L at vertex 1; three zeros.
+    assert_eq!(mesh.n_wedges(), 6 + 2 + 3);
+    assert_eq!(mesh.faces.len(), 6);
+    assert_eq!(marks.locked.iter().filter(|locked| **locked).count(), 1);
+    let codes: Vec<_> = report.notes.iter().map(|n| n.code).collect();
+    assert_eq!(codes, ["texcoord_filled", "texture_files_ignored"]);
+}
+
 #[test]
 fn obj_vertex_colours() {
     let text = "v 0 0 0\nv 1 0 0 1 0 0\nv 0 1 0 0 1 0\nv 2 2 2\nf 1 2 3\n";

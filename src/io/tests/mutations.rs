@@ -17,6 +17,12 @@ fn seeds() -> Vec<(&'static str, Vec<u8>)> {
     let strips = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\n\
         property uchar red\nelement tristrips 1\nproperty list int int vertex_indices\n\
         end_header\n0 0 7\n1 0 8\n0 1 9\n1 1 200\n5 0 1 2 3 -1\n";
+    let corners = "ply\nformat ascii 1.0\ncomment TextureFile a\nelement face 2\n\
+        property list uchar int vertex_indices\nproperty list uchar float texcoord\n\
+        property int texnumber\nelement vertex 5\nproperty float x\nproperty float y\n\
+        property float z\nproperty float nx\nproperty uchar lock\nend_header\n\
+        5 0 1 2 3 4 10 0 0 1 0 1 1 0 1 .5 .5 0\n3 0 1 2 0 1\n\
+        4 0 0 0 0\n4 4 0 0 1\n3 1 0 0 0\n0 4 0 0 0\n0 0 1 0 0\n";
     let mut stl = vec![b' '; 80];
     stl.extend(1_u32.to_le_bytes());
     stl.extend(bytes_of(&[0., 0., 1., 0., 0., 0., 1., 0., 0., 0., 1., 0.]));
@@ -53,6 +59,7 @@ fn seeds() -> Vec<(&'static str, Vec<u8>)> {
         ("a.gltf", square_json().to_string().into_bytes()),
         ("a.ply", write_ply(&mesh, PlyPositions::Double).unwrap()),
         ("a.ply", strips.into()),
+        ("a.ply", corners.into()),
         ("a.obj", obj.into()),
         ("a.obj", write_obj(&mesh).unwrap()),
         ("a.stl", stl),
