@@ -94,7 +94,7 @@ pub(crate) struct ServeArgs {
     /// Largest mesh file, in MiB.
     #[arg(long, env = "LOOKALIKE_MAX_MESH_MIB", default_value_t = 4096, value_name = "MIB")]
     pub(crate) max_mesh_mib: u64,
-    /// Hours for which a mesh that no job names is kept; it is removed at the next start after that.
+    /// Hours for which a mesh that no job names is kept; it is removed within an hour after that.
     #[arg(long, env = "LOOKALIKE_KEEP_MESHES_HOURS", default_value_t = 168, value_name = "HOURS")]
     pub(crate) keep_meshes_hours: u32,
     /// Hours for which the results of an ended job are kept, unless it is pinned; 0 for ever.

@@ -15,7 +15,7 @@ use std::{
 use flate2::bufread::DeflateDecoder;
 use rawzip::{CompressionMethod, ZipArchive, ZipArchiveEntryWayfinder, ZipSliceArchive};
 
-use super::{IoError, format, soup::Soup, source::Source};
+use super::{IoError, Limits, format, soup::Soup, source::Source};
 
 const REMEDY: &str = "make the archive again";
 /// What may be unpacked for each byte of an archive. Deflate reaches 1032, models hardly 20.
@@ -72,6 +72,11 @@ struct Unpacked {
 }
 
 impl<'a> Archive<'a> {
+    /// What it is held against.
+    pub(super) fn limits(&self) -> &'a Limits {
+        self.source.limits
+    }
+
     /// Reads the directory.
     fn open(source: &Source<'a>) -> Result<Self, IoError> {
         let fault = |e: rawzip::Error| source.malformed("archive", e.to_string(), REMEDY);

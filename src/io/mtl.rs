@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use super::{
     IoError,
     archive::Archive,
-    picture::mime_of,
+    picture::for_gltf,
     soup::{Notes, Soup},
     source::without_mark,
 };
@@ -286,7 +286,7 @@ pub(super) fn apply(
 pub(super) struct Textures<'a> {
     archive: &'a Archive<'a>,
     /// Images by entry of the archive.
-    images: HashMap<usize, u32>,
+    images: HashMap<usize, Option<u32>>,
     /// Textures by image and whether it is clamped.
     by_wrap: HashMap<(u32, bool), u32>,
 }
@@ -307,20 +307,31 @@ impl<'a> Textures<'a> {
         self.texture_use(&map, soup)
     }
 
-    fn image(&mut self, entry: usize, soup: &mut Soup) -> Result<u32, IoError> {
+    /// `None`, with a note, where no GLB can hold it.
+    fn image(&mut self, entry: usize, soup: &mut Soup) -> Result<Option<u32>, IoError> {
         if let Some(image) = self.images.get(&entry) {
             return Ok(*image);
         }
-        let bytes = self.archive.unpack(entry)?;
-        let mime = mime_of(&bytes).unwrap_or_default().to_owned();
-        let name = self.archive.shown(entry);
-        soup.images.push(Image { name, mime, bytes, pixels: None });
-        let image = soup.images.len() as u32 - 1;
+        let (bytes, name) = (self.archive.unpack(entry)?, self.archive.shown(entry));
+        let image = match for_gltf(&bytes, &name, self.archive.limits()) {
+            Ok((mime, converted)) => {
+                let bytes = converted.map_or(bytes, Into::into);
+                let mime = mime.to_owned();
+                soup.images.push(Image { name, mime, bytes, pixels: None });
+                Some(soup.images.len() as u32 - 1)
+            }
+            Err(reason) => {
+                let shown: String = name.chars().take(80).collect();
+                soup.notes
+                    .add("image_unreadable", format!("image '{shown}' is left out: {reason}"));
+                None
+            }
+        };
         self.images.insert(entry, image);
         Ok(image)
     }
 
-    /// `None`, with a note, where the image is not in the archive.
+    /// `None`, with a note, where the image is not in the archive, or is left out.
     fn texture_use(&mut self, map: &Map, soup: &mut Soup) -> Result<Option<TextureUse>, IoError> {
         let Some(entry) = self.archive.find(&map.file) else {
             let shown: String = map.file.chars().take(80).collect();
@@ -328,7 +339,7 @@ impl<'a> Textures<'a> {
             soup.notes.add("image_missing", text);
             return Ok(None);
         };
-        let image = self.image(entry, soup)?;
+        let Some(image) = self.image(entry, soup)? else { return Ok(None) };
         let texture = *self.by_wrap.entry((image, map.is_clamped)).or_insert_with(|| {
             let wrap = if map.is_clamped { Wrap::Clamp } else { Wrap::Repeat };
             let wrap = [wrap; 2];

@@ -27,6 +27,38 @@ pub(super) fn mime_of(bytes: &[u8]) -> Option<&'static str> {
     image::guess_format(bytes).ok().map(|format| format.to_mime_type())
 }
 
+/// What glTF holds.
+const OF_GLTF: [&str; 4] = ["image/png", "image/jpeg", "image/webp", ktx2::MIME];
+
+/// The media type of an image as glTF holds it, and other bytes where these are in another format: BMP, and TGA (which
+/// only its name tells), become PNG.
+///
+/// # Errors
+/// What it is and what to do, where it cannot be one of these.
+pub(super) fn for_gltf(
+    bytes: &[u8],
+    name: &str,
+    limits: &Limits,
+) -> Result<(&'static str, Option<Vec<u8>>), String> {
+    let is_tga = name.to_ascii_lowercase().ends_with(".tga");
+    let format = match mime_of(bytes) {
+        Some(mime) if OF_GLTF.contains(&mime) => return Ok((mime, None)),
+        Some("image/bmp") => ImageFormat::Bmp,
+        None if is_tga => ImageFormat::Tga,
+        other => {
+            let format = other.unwrap_or("of an unknown format");
+            return Err(format!("it is {format}: save it as PNG, JPEG, WebP or KTX2"));
+        }
+    };
+    let reader = limited(bytes, format, limits);
+    let png = guarded(move || {
+        let mut png = Cursor::new(Vec::new());
+        reader.decode()?.write_to(&mut png, ImageFormat::Png).map(|()| png.into_inner())
+    });
+    let text = |reason| format!("it cannot be decoded ({reason}): save it as PNG");
+    Ok((ImageFormat::Png.to_mime_type(), Some(png.map_err(text)?)))
+}
+
 /// Decodes the images of the materials' base and emissive textures.
 pub(super) fn decode_shown_textures(mesh: &mut Mesh, limits: &Limits, notes: &mut Notes) {
     let glow = |m: &Material| m.emission().and_then(|light| light.texture);
@@ -69,13 +101,21 @@ fn reader<'a>(bytes: &'a [u8], limits: &Limits) -> Result<ImageReader<Cursor<&'a
     if !FORMATS.contains(&format) {
         return Err(format!("{} is not decoded", format.to_mime_type()));
     }
+    Ok(limited(bytes, format, limits))
+}
+
+fn limited<'a>(
+    bytes: &'a [u8],
+    format: ImageFormat,
+    limits: &Limits,
+) -> ImageReader<Cursor<&'a [u8]>> {
     let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
     let mut of_decoder = image::Limits::default();
     of_decoder.max_image_width = Some(limits.max_image_side);
     of_decoder.max_image_height = Some(limits.max_image_side);
     of_decoder.max_alloc = Some(limits.max_image_pixels.saturating_mul(BYTES_PER_PIXEL));
     reader.limits(of_decoder);
-    Ok(reader)
+    reader
 }
 
 /// Holds the dimensions in the image's header against the limits; `n_pixels` counts those of all.

@@ -203,6 +203,33 @@ fn names_may_have_number_signs() {
 }
 
 /// Directories decide where the name alone does not; those that lead outside lead nowhere.
+/// Old packs have BMP and TGA, which no GLB may hold.
+#[test]
+fn images_that_no_glb_may_hold_become_png_or_are_left_out() {
+    let picture = image::RgbImage::from_fn(3, 2, |x, y| image::Rgb([x as u8, y as u8, 9]));
+    let saved = |format| {
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        picture.write_to(&mut bytes, format).unwrap();
+        bytes.into_inner()
+    };
+    for (name, bytes) in
+        [("a.bmp", saved(image::ImageFormat::Bmp)), ("A.TGA", saved(image::ImageFormat::Tga))]
+    {
+        let ingest = read_obj(&format!("newmtl a\nmap_Kd {name}\n"), &[stored(name, &bytes)]);
+        let [found] = &ingest.mesh.images[..] else { panic!("{name}: {:?}", ingest.report) };
+        assert_eq!(found.mime, "image/png");
+        assert_eq!(image::load_from_memory(&found.bytes).unwrap().into_rgb8(), picture, "{name}");
+        assert_eq!(found.pixels.as_ref().map(|p| (p.width, p.height)), Some((3, 2)));
+        let again = load("x.glb", &write_glb(&ingest.mesh).unwrap()).unwrap();
+        assert_eq!(again.mesh.images[0].mime, "image/png");
+    }
+    for (name, bytes) in [("a.gif", &b"GIF89a"[..]), ("a.tga", b"no"), ("a.png", b"nothing")] {
+        let ingest = read_obj(&format!("newmtl a\nmap_Kd {name}\n"), &[stored(name, bytes)]);
+        assert!(ingest.mesh.images.is_empty() && ingest.mesh.textures.is_empty(), "{name}");
+        assert!(codes(&ingest).contains(&"image_unreadable"), "{name}: {:?}", codes(&ingest));
+    }
+}
+
 #[test]
 fn namesakes_are_told_apart() {
     let other = encoded(ImageFormat::Png, [1, 1], [0; 3]);
