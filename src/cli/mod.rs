@@ -9,6 +9,7 @@ mod doctor;
 mod exit;
 mod extract;
 mod fetch;
+mod job;
 mod job_args;
 mod jobs;
 mod leftovers;
@@ -59,6 +60,8 @@ enum Command {
     Watch(watch::WatchArgs),
     /// List the jobs of a server.
     Jobs(jobs::JobsArgs),
+    /// Tell all of one job: times, labels, failure, attempts.
+    Job(job::JobArgs),
     /// Cancel a job.
     Cancel(jobs::CancelArgs),
     /// Queue a job anew that failed or was cancelled.
@@ -156,6 +159,7 @@ async fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Submit(args) => submit::run(args).await,
         Command::Watch(args) => watch::run(args).await,
         Command::Jobs(args) => jobs::list(args).await,
+        Command::Job(args) => job::run(args).await,
         Command::Cancel(args) => jobs::cancel(args).await,
         Command::Retry(args) => jobs::retry(args).await,
         Command::Pin(args) => jobs::pin(args).await,

@@ -82,14 +82,14 @@ pub(crate) fn job_line(job: &v1::Job) -> String {
     format!("{}  {state:<9}  {percent:>3.0}%  {what}  {}\n", job.name, job.file_name)
 }
 
-/// What a level goes by, such as `500`, `0.25` or `2.5%+300px`.
+/// What a level goes by, such as `500`, `0.25` or `d2<=2.5%+300px`.
 fn level_words(spec: &Spec, level: usize) -> String {
     let budget = spec.level_budgets()[level];
     let share = spec.ratios.get(level).filter(|share| **share > 0.0);
     let words = [
         budget.triangles.map(|n| n.to_string()),
         share.map(ToString::to_string),
-        budget.max_d2.map(|d2| format!("{d2}%")),
+        budget.max_d2.map(|d2| format!("d2<={d2}%")),
         budget.screen_size.map(|pixels| format!("{pixels}px")),
         budget.max_bytes.map(|n| format!("{n}B")),
     ];
@@ -104,7 +104,7 @@ mod tests {
     fn levels_are_told_by_what_they_go_by() {
         let mut spec = Spec { max_d2: vec![2.5], ..Spec::new(vec![500, 0]) };
         spec.screen_size = vec![0.0, 300.0];
-        assert_eq!([0, 1].map(|i| level_words(&spec, i)), ["500+2.5%", "2.5%+300px"]);
+        assert_eq!([0, 1].map(|i| level_words(&spec, i)), ["500+d2<=2.5%", "d2<=2.5%+300px"]);
         let spec = Spec { ratios: vec![0.25], max_bytes: vec![9000], ..Spec::new(Vec::new()) };
         assert_eq!(level_words(&spec, 0), "0.25+9000B");
     }

@@ -22,9 +22,12 @@ const MAX_LOOKS: usize = 3;
 /// The triangles of a polygon, as indices into its corners.
 pub(super) fn triangulate(corners: &[DVec3], notes: &mut Notes) -> Vec<[usize; 3]> {
     let n = corners.len();
+    if n < 4 {
+        return fan(n).collect();
+    }
     let outline = Outline::of(corners);
     let is_turned = |triangle: [usize; 3]| outline.turn(triangle) > 0.0;
-    if n < 4 || fan(n).all(is_turned) {
+    if fan(n).all(is_turned) {
         return fan(n).collect();
     }
     if n == 4 {

@@ -42,6 +42,8 @@ fn submit_and_run_leave_the_same_files() {
     assert_eq!(text(&server.run("jobs", &["--state=failed,queued"]).stdout), "");
 
     let name = job["name"].as_str().unwrap();
+    let told = text(&server.run("job", &[name]).stdout);
+    assert!(told.contains("SUCCEEDED") && told.contains(": COMPLETED, "), "{told}");
     let watched = server.run("watch", &[name, "--json"]);
     assert!(watched.status.success());
     let events: Vec<serde_json::Value> =
