@@ -13,7 +13,7 @@ use lookalike::{
 
 use super::{
     exit::{Exit, Failure},
-    leftovers,
+    leftovers::Earlier,
     remote::{Remote, ServerArgs},
     show, summary,
 };
@@ -43,6 +43,7 @@ pub(crate) async fn fetch_all(remote: &Remote, job: &str, folder: &Path) -> Resu
         return Err(nothing_of(&job));
     }
     make_folder(folder)?;
+    let earlier = Earlier::of(folder);
     let mut written = Vec::new();
     for artifact in artifacts {
         remote.fetch(&artifact, folder).await?;
@@ -52,7 +53,7 @@ pub(crate) async fn fetch_all(remote: &Remote, job: &str, folder: &Path) -> Resu
     }
     let simplified = convert::spec_from_wire(job.spec).0.simplified;
     let inputs = iter::once(job.file_name).chain(simplified.map(|input| input.file_name));
-    leftovers::remove(folder, &written, &inputs.collect::<Vec<_>>());
+    earlier.remove(folder, &written, &inputs.collect::<Vec<_>>());
     summary::tell(folder, &written);
     Ok(())
 }

@@ -19,7 +19,8 @@ use super::{
     exit::{Exit, Failure},
     fetch::make_folder,
     job_args::JobArgs,
-    leftovers, show, signals,
+    leftovers::Earlier,
+    show, signals,
     submit::{file_name, read_input},
     summary,
 };
@@ -93,6 +94,7 @@ fn work(
     out: &Path,
     device: &DeviceChoice,
 ) -> Result<(), PipelineError> {
+    let earlier = Earlier::of(out);
     let (mut bar, mut written) = (Bar::new(), Vec::new());
     let mut on = |report: Report| {
         bar.report(&report);
@@ -114,7 +116,7 @@ fn work(
     }
     if result.is_ok() {
         let inputs = iter::once(original).chain(simplified).map(|(name, _)| name);
-        leftovers::remove(out, &written, &inputs.collect::<Vec<_>>());
+        earlier.remove(out, &written, &inputs.collect::<Vec<_>>());
         summary::tell(out, &written);
     }
     result

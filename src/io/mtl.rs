@@ -265,7 +265,7 @@ pub(super) fn apply(
 ) -> Result<(), IoError> {
     let mut textures = Textures::new(archive);
     for (index, name) in names {
-        let Some(definition) = library.get(*name) else {
+        let Some(definition) = find(library, name) else {
             let shown: String = String::from_utf8_lossy(name).chars().take(64).collect();
             let text = format!("material '{shown}' is in no material library: it is white");
             soup.notes.add("material_undefined", text);
@@ -282,6 +282,15 @@ pub(super) fn apply(
     Ok(())
 }
 
+/// A definition by its name; or, where there is none, by what stands before a comment.
+fn find<'a>(library: &'a Library, name: &[u8]) -> Option<&'a Definition> {
+    let bare = || {
+        let comment = name.windows(2).position(|pair| pair == b" #")?;
+        library.get(name[..comment].trim_ascii_end())
+    };
+    library.get(name).or_else(bare)
+}
+
 /// Images and textures that are in the soup already.
 pub(super) struct Textures<'a> {
     archive: &'a Archive<'a>,
@@ -289,11 +298,13 @@ pub(super) struct Textures<'a> {
     images: HashMap<usize, Option<u32>>,
     /// Textures by image and whether it is clamped.
     by_wrap: HashMap<(u32, bool), u32>,
+    /// Of images that were decoded to become others.
+    n_pixels: u64,
 }
 
 impl<'a> Textures<'a> {
     pub(super) fn new(archive: &'a Archive<'a>) -> Self {
-        Self { archive, images: HashMap::new(), by_wrap: HashMap::new() }
+        Self { archive, images: HashMap::new(), by_wrap: HashMap::new(), n_pixels: 0 }
     }
 
     /// An image of the archive as it is; `None`, with a note, where it is not there.
@@ -308,12 +319,16 @@ impl<'a> Textures<'a> {
     }
 
     /// `None`, with a note, where no GLB can hold it.
-    fn image(&mut self, entry: usize, soup: &mut Soup) -> Result<Option<u32>, IoError> {
+    fn image(
+        &mut self,
+        (entry, file): (usize, &str),
+        soup: &mut Soup,
+    ) -> Result<Option<u32>, IoError> {
         if let Some(image) = self.images.get(&entry) {
             return Ok(*image);
         }
         let (bytes, name) = (self.archive.unpack(entry)?, self.archive.shown(entry));
-        let image = match for_gltf(&bytes, &name, self.archive.limits()) {
+        let image = match for_gltf(&bytes, file, self.archive.limits(), &mut self.n_pixels) {
             Ok((mime, converted)) => {
                 let bytes = converted.map_or(bytes, Into::into);
                 let mime = mime.to_owned();
@@ -339,7 +354,7 @@ impl<'a> Textures<'a> {
             soup.notes.add("image_missing", text);
             return Ok(None);
         };
-        let Some(image) = self.image(entry, soup)? else { return Ok(None) };
+        let Some(image) = self.image((entry, &map.file), soup)? else { return Ok(None) };
         let texture = *self.by_wrap.entry((image, map.is_clamped)).or_insert_with(|| {
             let wrap = if map.is_clamped { Wrap::Clamp } else { Wrap::Repeat };
             let wrap = [wrap; 2];

@@ -14,7 +14,7 @@ use super::{
     IoError,
     intern::Interner,
     mtl::{self, split_word},
-    polygon,
+    polygon::Splitter,
     soup::{Attribute, Patch, PatchMaterials, PointMarks, Soup},
     source::{Source, without_mark},
 };
@@ -73,6 +73,7 @@ struct Reader<'a> {
     polygon: Vec<u32>,
     /// Where the polygon's corners are.
     outline: Vec<DVec3>,
+    splitter: Splitter,
     /// Entries of the archive.
     libraries: Vec<usize>,
     soup: Soup,
@@ -94,6 +95,7 @@ impl<'a> Reader<'a> {
             material: 0,
             polygon: Vec::new(),
             outline: Vec::new(),
+            splitter: Splitter::default(),
             libraries: Vec::new(),
             soup: Soup::of_one_instance(),
         }
@@ -164,7 +166,7 @@ impl<'a> Reader<'a> {
         }
         let n_triangles = self.polygon.len() as u64 - 2;
         self.soup.claim(self.source, &self.place(), 0, n_triangles)?;
-        for triangle in polygon::triangulate(&self.outline, &mut self.soup.notes) {
+        for triangle in self.splitter.triangulate(&self.outline, &mut self.soup.notes) {
             self.triangles.push(triangle.map(|i| self.polygon[i]));
             self.face_materials.push(self.material);
         }

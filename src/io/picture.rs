@@ -34,11 +34,12 @@ const OF_GLTF: [&str; 4] = ["image/png", "image/jpeg", "image/webp", ktx2::MIME]
 /// only its name tells), become PNG.
 ///
 /// # Errors
-/// What it is and what to do, where it cannot be one of these.
+/// What it is and what to do, where it cannot be one of these. `n_pixels` counts those of all images that become others.
 pub(super) fn for_gltf(
     bytes: &[u8],
     name: &str,
     limits: &Limits,
+    n_pixels: &mut u64,
 ) -> Result<(&'static str, Option<Vec<u8>>), String> {
     let is_tga = name.to_ascii_lowercase().ends_with(".tga");
     let format = match mime_of(bytes) {
@@ -50,10 +51,14 @@ pub(super) fn for_gltf(
             return Err(format!("it is {format}: save it as PNG, JPEG, WebP or KTX2"));
         }
     };
-    let reader = limited(bytes, format, limits);
-    let png = guarded(move || {
-        let mut png = Cursor::new(Vec::new());
-        reader.decode()?.write_to(&mut png, ImageFormat::Png).map(|()| png.into_inner())
+    let [header, reader] = [(); 2].map(|()| limited(bytes, format, limits));
+    let size = guarded(move || header.into_dimensions());
+    let checked = size.and_then(|size| hold_to_limits(size, limits, n_pixels));
+    let png = checked.and_then(|()| {
+        guarded(move || {
+            let mut png = Cursor::new(Vec::new());
+            reader.decode()?.write_to(&mut png, ImageFormat::Png).map(|()| png.into_inner())
+        })
     });
     let text = |reason| format!("it cannot be decoded ({reason}): save it as PNG");
     Ok((ImageFormat::Png.to_mime_type(), Some(png.map_err(text)?)))
@@ -120,12 +125,20 @@ fn limited<'a>(
 
 /// Holds the dimensions in the image's header against the limits; `n_pixels` counts those of all.
 fn check_size(bytes: &[u8], limits: &Limits, n_pixels: &mut u64) -> Result<(), String> {
-    let (width, height) = if ktx2::is_ktx2(bytes) {
+    let size = if ktx2::is_ktx2(bytes) {
         ktx2::dimensions(bytes)?
     } else {
         let reader = reader(bytes, limits)?;
         guarded(move || reader.into_dimensions())?
     };
+    hold_to_limits(size, limits, n_pixels)
+}
+
+fn hold_to_limits(
+    (width, height): (u32, u32),
+    limits: &Limits,
+    n_pixels: &mut u64,
+) -> Result<(), String> {
     let own = u64::from(width) * u64::from(height);
     let rules = [
         (width.max(height).into(), limits.max_image_side.into(), "pixels a side"),

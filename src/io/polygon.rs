@@ -8,7 +8,8 @@
 //! Invariants, whatever the corners are:
 //! 1. n corners make n - 2 triangles, of indices below n;
 //! 2. triangles go round as their polygon does;
-//! 3. the work is at most quadratic, and polygons of more than [`MAX_CORNERS`] corners are not clipped.
+//! 3. the work is at most quadratic, polygons of more than [`MAX_CORNERS`] corners are not clipped, and all polygons of
+//!    a file together have [`LOOKS_OF_FILE`].
 
 use glam::DVec3;
 
@@ -18,31 +19,46 @@ use super::soup::Notes;
 const MAX_CORNERS: usize = 1000;
 /// Corners that may be looked at while ears are sought, as a multiple of the square of their number.
 const MAX_LOOKS: usize = 3;
+/// The same for all polygons of a file, some seconds; honest files need far less.
+const LOOKS_OF_FILE: usize = 100_000_000;
 
-/// The triangles of a polygon, as indices into its corners.
-pub(super) fn triangulate(corners: &[DVec3], notes: &mut Notes) -> Vec<[usize; 3]> {
-    let n = corners.len();
-    if n < 4 {
-        return fan(n).collect();
+/// Splits the polygons of a file.
+pub(super) struct Splitter {
+    looks_left: usize,
+}
+
+impl Default for Splitter {
+    fn default() -> Self {
+        Self { looks_left: LOOKS_OF_FILE }
     }
-    let outline = Outline::of(corners);
-    let is_turned = |triangle: [usize; 3]| outline.turn(triangle) > 0.0;
-    if fan(n).all(is_turned) {
-        return fan(n).collect();
+}
+
+impl Splitter {
+    /// The triangles of a polygon, as indices into its corners.
+    pub(super) fn triangulate(&mut self, corners: &[DVec3], notes: &mut Notes) -> Vec<[usize; 3]> {
+        let n = corners.len();
+        if n < 4 {
+            return fan(n).collect();
+        }
+        let outline = Outline::of(corners);
+        let is_turned = |triangle: [usize; 3]| outline.turn(triangle) > 0.0;
+        if fan(n).all(is_turned) {
+            return fan(n).collect();
+        }
+        if n == 4 {
+            let other = [[0, 1, 3], [1, 2, 3]];
+            return if other.into_iter().all(is_turned) { other.into() } else { fan(n).collect() };
+        }
+        if n > MAX_CORNERS || self.looks_left == 0 {
+            let text = format!(
+                "concave polygons of more than {MAX_CORNERS} corners, and those behind very many of fewer, are split \
+                 from their first corner, which may turn triangles over: split them before"
+            );
+            notes.add("large_polygon_fanned", text);
+            return fan(n).collect();
+        }
+        outline.clipped(&mut self.looks_left)
     }
-    if n == 4 {
-        let other = [[0, 1, 3], [1, 2, 3]];
-        return if other.into_iter().all(is_turned) { other.into() } else { fan(n).collect() };
-    }
-    if n > MAX_CORNERS {
-        let text = format!(
-            "concave polygons of more than {MAX_CORNERS} corners are split from their first corner, \
-             which may turn triangles over: split them before"
-        );
-        notes.add("large_polygon_fanned", text);
-        return fan(n).collect();
-    }
-    outline.clipped()
 }
 
 /// The triangles that the first of `n` corners makes with all sides that it is not on.
@@ -76,7 +92,7 @@ impl<'a> Outline<'a> {
     }
 
     /// Triangles by clipping ears. What is no ear may become one when others are gone.
-    fn clipped(&self) -> Vec<[usize; 3]> {
+    fn clipped(&self, looks_of_file: &mut usize) -> Vec<[usize; 3]> {
         let n = self.corners.len();
         let mut triangles = Vec::with_capacity(n.saturating_sub(2));
         let mut left: Vec<usize> = (0..n).collect();
@@ -84,6 +100,7 @@ impl<'a> Outline<'a> {
         let (mut at, mut n_passed) = (0, 0);
         while left.len() > 3 && n_passed < left.len() && looks_left >= left.len() {
             looks_left -= left.len();
+            *looks_of_file = looks_of_file.saturating_sub(left.len());
             at %= left.len();
             let corner = Corner::of(&left, at);
             if self.is_ear(&left, &corner) {
@@ -156,6 +173,10 @@ impl Corner {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn triangulate(corners: &[DVec3], notes: &mut Notes) -> Vec<[usize; 3]> {
+        Splitter::default().triangulate(corners, notes)
+    }
 
     const L: [[f64; 2]; 6] = [[4., 0.], [4., 1.], [1., 1.], [1., 4.], [0., 4.], [0., 0.]];
 
@@ -272,6 +293,13 @@ mod tests {
             assert_eq!(triangulate(&zigzag(n), &mut notes).len(), 2 * n as usize - 2);
             let codes: Vec<_> = notes.into_vec().iter().map(|note| note.code).collect();
             assert_eq!(codes, vec!["large_polygon_fanned"; n_notes]);
+        }
+        // What others have used up is gone.
+        let mut splitter = Splitter { looks_left: 1 };
+        for n_notes in [0, 1, 1] {
+            let mut notes = Notes::default();
+            assert_eq!(splitter.triangulate(&placed(&L, 2), &mut notes).len(), 4);
+            assert_eq!(notes.into_vec().len(), n_notes);
         }
     }
 }

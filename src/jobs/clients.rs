@@ -20,7 +20,7 @@ use super::{
 
 /// The object store is asked so often, and so long each time, whether the bytes of a mesh are still there.
 const LOOKS: u32 = 5;
-pub(super) const LOOK: Duration = Duration::from_secs(2);
+const LOOK: Duration = Duration::from_secs(2);
 
 /// A mesh that is on disk.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -116,8 +116,9 @@ impl Jobs {
         let (jobs, owner) = (self.clone(), owner.to_owned());
         // What is whole is kept, even when its sender has left by then. What has no name is not: its end looks like a
         // stream that broke off.
-        let kept = self.0.keeping.spawn(async move {
+        let kept = self.0.receiving.spawn(async move {
             let staged = jobs.0.blobs.go_on(upload, chunks, limit).await?;
+            let _kept = jobs.0.keeping.token();
             jobs.keep_mesh(&owner, &announced, staged).await
         });
         kept.await?
@@ -137,7 +138,10 @@ impl Jobs {
             damaged => damaged,
         };
         if let Err(refusal) = allowed {
-            staged.discard();
+            // What has a name waits for a database that is away.
+            if !refusal.is_passing() {
+                staged.discard();
+            }
             return Err(refusal);
         }
         pass(Point::UploadStaged);

@@ -73,6 +73,9 @@ pub enum Error {
     /// All bytes of an upload came by another stream.
     #[error("all bytes of this upload are here and are being stored: ask again in a moment")]
     UnderWay,
+    /// An owner sends very much at once.
+    #[error("this owner has as many uploads under way as it may have: send it again in a moment")]
+    Busy,
     /// What arrived is not what was announced.
     #[error("{what}: {fault}; send it again")]
     Corrupt {
@@ -182,13 +185,13 @@ impl Quota {
 /// What a database says when it may answer later: SQLSTATE, or SQLite's code for a busy database, or for a disk that is
 /// full or fails.
 #[rustfmt::skip]
-const PASSING: [&str; 17] = [
+const PASSING: [&str; 19] = [
     // Serialization failure, deadlock, lock or statement timeout, idle transaction.
     "40001", "40P01", "55P03", "57014", "25P03",
     // Shutting down, crashed, starting up, a stand-by server, no room for connections.
     "57P01", "57P02", "57P03", "25006", "53300",
     "5", "261", "517", "773",
-    "13", "778", "1034",
+    "13", "778", "1034", "53100", "58030",
 ];
 
 /// What it says when a transaction lost against another one: serialization failure, deadlock; a snapshot too old.
@@ -199,23 +202,13 @@ impl Error {
     pub fn is_passing(&self) -> bool {
         match self {
             // Objects: after all attempts of their client.
-            Self::Sql(sqlx::Error::Io(_) | sqlx::Error::PoolTimedOut)
+            Self::Sql(sqlx::Error::Io(_) | sqlx::Error::PoolTimedOut | sqlx::Error::PoolClosed)
             | Self::Objects { source: object_store::Error::Generic { .. }, .. }
-            | Self::UnderWay => true,
+            | Self::UnderWay
+            | Self::Busy => true,
             Self::Sql(sqlx::Error::Database(error)) => {
                 // Class 08: the connection.
                 error.code().is_some_and(|code| PASSING.contains(&&*code) || code.starts_with("08"))
-            }
-            _ => false,
-        }
-    }
-
-    /// An object is not where its row says.
-    pub fn is_missing(&self) -> bool {
-        match self {
-            Self::Io { source, .. } => source.kind() == io::ErrorKind::NotFound,
-            Self::Objects { source, .. } => {
-                matches!(source, object_store::Error::NotFound { .. })
             }
             _ => false,
         }

@@ -3,11 +3,8 @@
 
 use std::time::{Duration, SystemTime};
 
-use tokio::time::timeout;
-
 use super::{
     Jobs,
-    clients::LOOK,
     error::{Error, Result},
     points::{Point, pass},
     store::Job,
@@ -49,6 +46,7 @@ impl Jobs {
         self.0.store.forget_audit(self.0.limits.keep_audit).await?;
         self.0.store.forget_workers().await?;
         self.0.blobs.sweep_uploads().await?;
+        self.0.store.note_inputs().await?;
         loop {
             let unused = self.0.store.forget_meshes(self.0.limits.keep_meshes, AT_ONCE).await?;
             pass(Point::MeshesForgotten);
@@ -77,8 +75,7 @@ impl Jobs {
         for hash in hashes {
             let mut lock = self.0.store.lock_mesh(hash).await?;
             if !lock.is_stored().await? {
-                // What the object store does not do at once it is asked for the next time.
-                timeout(LOOK, self.0.blobs.remove_mesh(hash)).await.unwrap_or(Ok(()))?;
+                self.0.blobs.remove_mesh(hash).await?;
             }
         }
         Ok(())

@@ -107,8 +107,9 @@ impl Default for Limits {
 
 /// Of one owner's submissions: one is at work, and one is ready to follow. A single owner loses nothing.
 const CREATIONS_AT_ONCE: usize = 2;
-/// Of one owner's uploads, each of which has a thread: others wait for their turn.
-const UPLOADS_AT_ONCE: usize = 16;
+/// Of one owner's uploads, each of which has a thread. Others are told to come back: one that waited would hold up those
+/// beside it on its connection.
+const UPLOADS_AT_ONCE: usize = 64;
 /// Of one reader's followers: fewer than there are connections for reading.
 const READS_AT_ONCE: usize = 3;
 /// Uploads that are whole get so long to be stored before a server ends.
@@ -134,7 +135,8 @@ struct Inner {
     unpacked: Recent<Vec<u8>>,
     /// Of those who upload.
     uploads: Turns,
-    /// Uploads that are kept though their senders may have left.
+    /// Uploads that go on though their senders may have left, and those that are whole.
+    receiving: TaskTracker,
     keeping: TaskTracker,
     /// Jobs whose attempts were lost while nobody asked for them.
     lost: Mutex<Vec<Job>>,
@@ -171,6 +173,7 @@ impl Jobs {
             pages: Recent::default(),
             unpacked: Recent::default(),
             uploads: Turns::new(UPLOADS_AT_ONCE),
+            receiving: TaskTracker::new(),
             keeping: TaskTracker::new(),
             lost: Mutex::default(),
             terms,

@@ -46,7 +46,7 @@ impl Desk<'_> {
         chunks: mpsc::Receiver<Bytes>,
     ) -> Result<StoredMesh> {
         self.check_bytes().await?;
-        let _turn = self.jobs.0.uploads.of(&self.who.owner).await;
+        let _turn = self.jobs.0.uploads.at_once(&self.who.owner).ok_or(Error::Busy)?;
         self.jobs.put_mesh(&self.who.owner, announced, chunks).await
     }
 

@@ -41,6 +41,15 @@ impl Turns {
         turn
     }
 
+    /// A turn of this owner, if there is one without waiting.
+    pub(super) fn at_once(&self, owner: &str) -> Option<Turn> {
+        let line = || Arc::new(Semaphore::new(self.at_once));
+        let line = Arc::clone(self.lines().entry(owner.into()).or_insert_with(line));
+        let mut turn = Turn { turns: self.clone(), owner: owner.into(), permit: None };
+        turn.permit = line.try_acquire_owned().ok();
+        turn.permit.is_some().then_some(turn)
+    }
+
     fn lines(&self) -> std::sync::MutexGuard<'_, HashMap<String, Arc<Semaphore>>> {
         self.lines.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -74,6 +83,9 @@ mod tests {
         drop(first);
         let third = third.await;
         drop((bob, third));
+        let fourth = turns.at_once("ann");
+        assert!(fourth.is_some() && turns.at_once("ann").is_none());
+        drop(fourth);
         assert_eq!(turns.lines().len(), 1, "only ann is still there");
         drop(second);
         assert!(turns.lines().is_empty());

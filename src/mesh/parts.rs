@@ -44,7 +44,7 @@ pub struct Skin {
     /// Indices into [`Tree::nodes`].
     pub joints: Vec<u32>,
     /// Inverse bind matrices, column by column, as many as joints.
-    pub joint_from_world: Vec<[f32; 16]>,
+    pub joint_from_world: Vec<[f64; 16]>,
     /// The joints' common root, as the file names it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub skeleton: Option<u32>,

@@ -25,6 +25,9 @@ use crate::jobs::{
 
 pub use queue::queue_page;
 
+/// Attempts that are known at a time.
+const MOST_HEARD: usize = 10_000;
+
 /// What was last heard of an attempt.
 #[derive(Debug, Default)]
 struct Heard {
@@ -99,7 +102,12 @@ impl Observer {
     pub fn claimed(&self, lease: &Lease, goes_on: bool) {
         counter!("lookalike_claims_total").increment(1);
         let heard = Heard { epoch: lease.epoch, goes_on, ..Heard::default() };
-        self.attempts().insert(lease.job.clone(), heard);
+        let mut attempts = self.attempts();
+        attempts.insert(lease.job.clone(), heard);
+        // Some end where another server hears of it. Ids grow with time.
+        if attempts.len() > MOST_HEARD {
+            attempts.pop_first();
+        }
     }
 
     fn attempts(&self) -> MutexGuard<'_, BTreeMap<String, Heard>> {

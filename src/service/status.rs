@@ -42,11 +42,10 @@ fn row(error: &Error) -> (Code, &'static str) {
         Error::TooLarge { .. } => (Code::ResourceExhausted, "TOO_LARGE"),
         Error::QueueFull(_) => (Code::ResourceExhausted, "QUEUE_FULL"),
         Error::Quota { .. } => (Code::ResourceExhausted, "QUOTA"),
-        Error::UnderWay => (Code::Unavailable, AWAY),
+        Error::UnderWay | Error::Busy => (Code::Unavailable, AWAY),
         error if error.is_passing() => (Code::Unavailable, AWAY),
         Error::InUse(_) | Error::OtherObjects(_) => (Code::FailedPrecondition, "IN_USE"),
         Error::Sql(_) | Error::Migrate(_) | Error::Stored { .. } => (Code::Internal, "DATABASE"),
-        error if error.is_missing() => (Code::Internal, "MISSING"),
         Error::Io { .. } | Error::Objects { .. } | Error::PlainEndpoint(_) => {
             (Code::Internal, STORAGE)
         }

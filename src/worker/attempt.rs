@@ -145,10 +145,7 @@ pub async fn run(
     };
     let input = match fetched {
         Ok(input) => input,
-        Err(error) => {
-            let alive = keep_alive(link, &lease, heartbeat, &stop, drain);
-            return fail(link, &lease, error, alive).await.map(|()| Ended::Ready);
-        }
+        Err(error) => return fail(link, &lease, error).await.map(|()| Ended::Ready),
     };
     let (folder, device, pipeline) =
         (config.scratch.clone(), config.device.clone(), config.pipeline);
@@ -198,7 +195,7 @@ pub async fn run(
                 let _ = running.await;
             }
             let alive = keep_alive(link, &lease, heartbeat, &stop, drain);
-            fail(link, &lease, error, alive).await.map(|()| Ended::Ready)
+            hand_back(link, &lease, error, alive).await.map(|()| Ended::Ready)
         }
     }
 }
@@ -250,9 +247,9 @@ async fn overdue(stop: &watch::Sender<Option<Stop>>, limit: Duration) -> &'stati
     "the worker did not stop in time"
 }
 
-/// After a call that the server refused: the attempt failed, if the server still listens. That its disk is full is not
-/// held against the job, which goes back to the queue after a while.
-async fn fail(
+/// After a refusal of what the attempt has made. That the server cannot store it is not held against the job, which goes
+/// back to the queue after a while.
+async fn hand_back(
     link: &Link,
     lease: &Lease,
     error: LinkError,
@@ -265,6 +262,13 @@ async fn fail(
             let text = format!("the server's storage failed: {}", status.message());
             link.complete(lease, Outcome::Released(text)).await
         }
+        error => fail(link, lease, error).await,
+    }
+}
+
+/// After a call that the server refused: the attempt failed, if the server still listens.
+async fn fail(link: &Link, lease: &Lease, error: LinkError) -> Result<(), LinkError> {
+    match error {
         LinkError::Refused(_) | LinkError::File { .. } | LinkError::Damaged(_) => {
             link.complete(lease, Outcome::AttemptFailed(error.to_string())).await
         }

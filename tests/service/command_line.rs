@@ -57,6 +57,7 @@ fn submit_and_run_leave_the_same_files() {
     // As an earlier job with more levels would leave it.
     fs::create_dir(&again).unwrap();
     fs::write(again.join("lod-7.glb"), b"earlier").unwrap();
+    fs::write(again.join("report.json"), br#"{"levels": [{"file": "lod-7.glb"}]}"#).unwrap();
     let id = name.strip_prefix("jobs/").unwrap();
     let fetched = server.run("fetch", &[id, "--out", &again.display().to_string()]);
     assert!(fetched.status.success(), "{fetched:?}");

@@ -96,9 +96,9 @@ fn read_skin(
     let inverse_bind = inverse_bind_matrices(document, skin, &place)?;
     let world_from_mesh = bound(first.world_from_node, inverse_bind[0]);
     let mesh_from_world = world_from_mesh.inverse();
-    let joint_from_world = inverse_bind.iter().map(|joint_from_mesh| {
-        (*joint_from_mesh * mesh_from_world).to_cols_array().map(|x| x as f32)
-    });
+    let joint_from_world = inverse_bind
+        .iter()
+        .map(|joint_from_mesh| (*joint_from_mesh * mesh_from_world).to_cols_array());
     let skeleton = skin.skeleton.and_then(|s| visited.get(s.value()).copied().flatten());
     let skin = mesh::Skin {
         name: kept_name(skin.name.as_deref()),
@@ -165,7 +165,7 @@ fn hang_on_joints(tree: &mut Tree, visited: &Visited, placements: &mut [Placemen
             continue;
         }
         let skin = *of_joint[joint as usize].get_or_insert_with(|| {
-            let joint_from_world = vec![joint_from_world.to_cols_array().map(|x| x as f32)];
+            let joint_from_world = vec![joint_from_world.to_cols_array()];
             let skin = mesh::Skin { joints: vec![joint], joint_from_world, ..Default::default() };
             push_skin(tree, skin)
         });

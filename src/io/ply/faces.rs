@@ -11,7 +11,6 @@ use glam::DVec3;
 use super::{
     super::{
         intern::Interner,
-        polygon,
         soup::{Attribute, PointMarks, defaults_of},
     },
     Body, IoError, REMEDY,
@@ -22,6 +21,9 @@ use crate::mesh::Semantic;
 
 /// Texture coordinates of the three corners of a triangle, v downwards.
 pub(super) type Uvs = [[f32; 2]; 3];
+
+/// What has none takes that of its vertices.
+const NONE: Uvs = [[f32::NAN; 2]; 3];
 
 /// What a list of indices stands for.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -128,7 +130,7 @@ impl<V: Values> Body<'_, V> {
         }
         let n_before = self.patch.triangles.len();
         if uvs.is_some() {
-            self.uvs.resize(n_before, Uvs::default());
+            self.uvs.resize(n_before, NONE);
         }
         if texture.is_some() {
             self.textures.resize(n_before, 0);
@@ -174,10 +176,10 @@ impl<V: Values> Body<'_, V> {
             let fan = corners.windows(2).skip(1).map(|pair| [corners[0], pair[0], pair[1]]);
             self.uvs.extend(fan);
         } else if n_triangles > 0 {
-            let text = "faces without two texture coordinates for each corner have 0 there";
+            let text = "faces without two texture coordinates for each corner have those of their vertices";
             self.soup.notes.add("texcoord_filled", text);
         }
-        self.uvs.resize(self.patch.triangles.len(), Uvs::default());
+        self.uvs.resize(self.patch.triangles.len(), NONE);
     }
 
     /// Notes that the last triangles are a polygon, or settles which they are.
@@ -198,7 +200,7 @@ impl<V: Values> Body<'_, V> {
         // A vertex that is not there is refused later.
         let places: Option<Vec<DVec3>> = corners_of(triangles).iter().map(place).collect();
         let Some(places) = places else { return };
-        let split = polygon::triangulate(&places, &mut self.soup.notes);
+        let split = self.splitter.triangulate(&places, &mut self.soup.notes);
         rearrange(triangles, &split);
         if let Some(uvs) = self.uvs.get_mut(fan) {
             rearrange(uvs, &split);
@@ -211,13 +213,18 @@ impl<V: Values> Body<'_, V> {
         let n_points = patch.positions.len();
         // A vertex that is not there is refused later.
         let is_whole = patch.triangles.as_flattened().iter().all(|v| (*v as usize) < n_points);
-        if self.uvs.is_empty() || !is_whole {
+        let is_none = |uv: &[f32; 2]| uv.iter().any(|x| x.is_nan());
+        if !is_whole || self.uvs.as_flattened().iter().all(is_none) {
             return;
         }
-        self.uvs.resize(patch.triangles.len(), Uvs::default());
+        self.uvs.resize(patch.triangles.len(), NONE);
+        let own = patch.attributes.iter().find(|a| a.semantic == Semantic::TexCoord(0));
+        let own = own.map_or(&[][..], |a| a.values.as_chunks::<2>().0);
         let mut corners = Interner::new(3);
         let flat = patch.triangles.as_flattened_mut().iter_mut();
-        for (vertex, [u, v]) in flat.zip(self.uvs.as_flattened()) {
+        for (vertex, uv) in flat.zip(self.uvs.as_flattened()) {
+            let own = || own.get(*vertex as usize).copied().unwrap_or_default();
+            let [u, v] = if is_none(uv) { own() } else { *uv };
             *vertex = corners.intern(&[*vertex, u.to_bits(), v.to_bits()]);
         }
         let words = corners.into_words();

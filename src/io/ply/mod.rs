@@ -18,6 +18,7 @@ use glam::DVec3;
 use super::{
     IoError,
     mtl::Textures,
+    polygon::Splitter,
     soup::{Attribute, Patch, PatchMaterials, PointMarks, Soup, defaults_of},
     source::Source,
 };
@@ -77,6 +78,7 @@ struct Body<'a, V> {
     soup: Soup,
     patch: Patch,
     n_vertices: u64,
+    splitter: Splitter,
     /// Fans whose vertices come later in the file, as ranges of triangles.
     unsettled: Vec<Range<usize>>,
     /// By triangle, where faces have any.
@@ -94,6 +96,7 @@ impl<'a, V: Values> Body<'a, V> {
             soup: Soup::of_one_instance(),
             patch,
             n_vertices: 0,
+            splitter: Splitter::default(),
             unsettled: Vec::new(),
             uvs: Vec::new(),
             textures: Vec::new(),

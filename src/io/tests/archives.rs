@@ -185,6 +185,26 @@ fn ply_with_its_images() {
 }
 
 /// A `#` in a name begins no comment, in neither file.
+/// The first face has coordinates of its corners, the second takes those of its vertices.
+#[test]
+fn ply_corners_without_coordinates_have_those_of_their_vertices() {
+    let file = |lists: [&str; 2]| {
+        let [first, second] = lists;
+        let text = format!(
+            "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n\
+             property float s\nproperty float t\nelement face 2\nproperty list uchar int vertex_indices\n\
+             property list uchar float texcoord\nend_header\n0 0 0 0.25 1\n1 0 0 0.5 1\n0 1 0 0.75 1\n1 1 0 1 1\n\
+             3 0 1 2 {first}\n3 2 1 3 {second}\n"
+        );
+        let mesh = load("a.ply", text.as_bytes()).unwrap().mesh;
+        let layer = mesh.layer(Semantic::TexCoord(0)).unwrap();
+        let corners = mesh.face_wedges.as_flattened().iter().map(|w| layer.get(WedgeId(*w))[0]);
+        corners.collect::<Vec<_>>()
+    };
+    assert_eq!(file(["6 .1 0 .2 0 .3 0", "0"]), [0.1, 0.2, 0.3, 0.75, 0.5, 1.0]);
+    assert_eq!(file(["0", "0"]), [0.25, 0.5, 0.75, 0.75, 0.5, 1.0]);
+}
+
 #[test]
 fn names_may_have_number_signs() {
     let obj = OBJ.replace("My Paint.mtl", "Paint #1.mtl");
@@ -202,7 +222,6 @@ fn names_may_have_number_signs() {
     assert!(shown.base_texture.is_some());
 }
 
-/// Directories decide where the name alone does not; those that lead outside lead nowhere.
 /// Old packs have BMP and TGA, which no GLB may hold.
 #[test]
 fn images_that_no_glb_may_hold_become_png_or_are_left_out() {
@@ -230,6 +249,7 @@ fn images_that_no_glb_may_hold_become_png_or_are_left_out() {
     }
 }
 
+/// Directories decide where the name alone does not; those that lead outside lead nowhere.
 #[test]
 fn namesakes_are_told_apart() {
     let other = encoded(ImageFormat::Png, [1, 1], [0; 3]);

@@ -102,7 +102,9 @@ fn skins_are_written_as_they_were_read() {
     let again = load("x.glb", &write_glb(&mesh).unwrap()).unwrap().mesh;
     assert_eq!(again.layers, mesh.layers);
     let skins = |mesh: &Mesh| {
-        mesh.tree.skins.iter().map(|s| s.joint_from_world.clone()).collect::<Vec<_>>()
+        let singles = |m: &[f64; 16]| m.map(|x| x as f32);
+        let of = |s: &crate::mesh::Skin| s.joint_from_world.iter().map(singles).collect();
+        mesh.tree.skins.iter().map(of).collect::<Vec<Vec<_>>>()
     };
     assert_eq!(skins(&again), skins(&mesh));
     let names = |mesh: &Mesh| {

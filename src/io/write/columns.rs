@@ -118,12 +118,11 @@ impl Grid {
     }
 
     /// A matrix that begins in the model's space, column by column, after the steps were brought there.
-    pub(super) fn put_before(&self, matrix: &[f32; 16]) -> [f32; 16] {
+    pub(super) fn put_before(&self, matrix: &[f64; 16]) -> [f64; 16] {
         let low = DVec3::from_array(self.low.map(f64::from));
         let world_from_grid =
             DMat4::from_translation(low) * DMat4::from_scale(DVec3::splat(f64::from(self.step)));
-        let matrix = DMat4::from_cols_array(&matrix.map(f64::from));
-        (matrix * world_from_grid).to_cols_array().map(|x| x as f32)
+        (DMat4::from_cols_array(matrix) * world_from_grid).to_cols_array()
     }
 
     /// Brings steps back into the model's space.

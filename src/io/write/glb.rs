@@ -156,8 +156,12 @@ impl Builder {
         Ok(put_nodes(&mut self.nodes, &mesh.tree, &mesh_of_part))
     }
 
-    /// Brings the steps of the grid, if there is one, back below a node.
+    /// Brings the steps of the grid, if there is one, back below a node; what a skin moves it brings back itself.
     fn undo_grid(&mut self, node: usize) {
+        let value = &self.nodes[node];
+        if value.get("skin").is_some() && value.get("children").is_none() {
+            return;
+        }
         self.grid.iter().for_each(|grid| grid.put_transform(&mut self.nodes[node]));
     }
 

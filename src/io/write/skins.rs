@@ -65,7 +65,7 @@ pub(super) fn put_skins(
         let matrices: Vec<[f32; 16]> = skin
             .joint_from_world
             .iter()
-            .map(|matrix| grid.map_or(*matrix, |grid| grid.put_before(matrix)))
+            .map(|matrix| grid.map_or(*matrix, |grid| grid.put_before(matrix)).map(|x| x as f32))
             .collect();
         let mut value = json!({
             "joints": skin.joints.iter().filter_map(new).collect::<Vec<_>>(),

@@ -183,20 +183,26 @@ impl Partials {
     /// Removes what begins with this and has stayed too long, and the oldest beyond so many. What is being written
     /// stays.
     fn sweep(&self, prefix: &str, most: usize) -> Result<()> {
-        let writers = lock(&self.writers);
-        let is_idle = |name: &str| name.starts_with(prefix) && !writers.contains_key(name);
-        let written = |path: &Path| fs::metadata(path).and_then(|found| found.modified());
-        let mut found: Vec<(SystemTime, PathBuf)> = entries(&self.folder)?
+        let written = |path: &Path| fs::metadata(path).and_then(|found| found.modified()).ok();
+        let is_idle = |name: &String| !lock(&self.writers).contains_key(name);
+        let mut found: Vec<(SystemTime, String, PathBuf)> = entries(&self.folder)?
             .into_iter()
-            .filter(|(name, _)| is_idle(name))
-            .filter_map(|(_, path)| Some((written(&path).ok()?, path)))
+            .filter(|(name, _)| name.starts_with(prefix) && is_idle(name))
+            .filter_map(|(name, path)| Some((written(&path)?, name, path)))
             .collect();
         found.sort();
         let n_over = found.len().saturating_sub(most);
         let old = SystemTime::now() - STAY;
-        for (k, (written, path)) in found.into_iter().enumerate() {
-            if k < n_over || written < old {
-                fs::remove_file(&path).map_err(Error::io(&path))?;
+        for (k, (when, name, path)) in found.into_iter().enumerate() {
+            if k < n_over || when < old {
+                let swept = self.folder.join(format!("swept-{}", uuid::Uuid::new_v4().simple()));
+                let writers = lock(&self.writers);
+                let is_as_found = !writers.contains_key(&name) && written(&path) == Some(when);
+                if is_as_found && fs::rename(&path, &swept).is_ok() {
+                    // Large files take their time, in which others begin and end.
+                    drop(writers);
+                    fs::remove_file(&swept).map_err(Error::io(&swept))?;
+                }
             }
         }
         Ok(())

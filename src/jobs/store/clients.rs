@@ -6,7 +6,7 @@ use sqlx::{AssertSqlSafe, Row, any::AnyRow};
 
 use super::{
     Artifact, Body, Exclusive, Job, State, Store, StoredEvent, Tx, checkpoints, event_of, find,
-    find_to_write, job_of, log, now_ms, only, owners, state_entry, storable, stored, webhooks,
+    find_to_write, job_of, log, now_ms, only, owners, sql, state_entry, storable, stored, webhooks,
 };
 use crate::jobs::{
     Limits,
@@ -134,6 +134,16 @@ impl Store {
             let now = now_ms(&mut tx).await?;
             let found = touch_mesh(&mut tx, hash, now).await?;
             Ok(found)
+        })
+    }
+
+    /// Notes the second inputs of jobs that a server of the version before this column has created meanwhile.
+    pub async fn note_inputs(&self) -> Result<()> {
+        transaction!(self, tx, {
+            let update = "UPDATE jobs SET simplified = spec /*pg ::json */ -> 'simplified' ->> 'mesh' \
+                          WHERE simplified IS NULL AND spec LIKE '%\"simplified\":{%'";
+            sqlx::query(sql(&tx, update)).execute(&mut *tx).await?;
+            Ok(())
         })
     }
 
