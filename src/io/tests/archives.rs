@@ -242,7 +242,12 @@ fn images_that_no_glb_may_hold_become_png_or_are_left_out() {
         let again = load("x.glb", &write_glb(&ingest.mesh).unwrap()).unwrap();
         assert_eq!(again.mesh.images[0].mime, "image/png");
     }
-    for (name, bytes) in [("a.gif", &b"GIF89a"[..]), ("a.tga", b"no"), ("a.png", b"nothing")] {
+    // Says that it is 16,384 pixels wide and high.
+    let mut huge = saved(image::ImageFormat::Bmp);
+    huge[18..26].copy_from_slice([16_384_u32.to_le_bytes(); 2].as_flattened());
+    for (name, bytes) in
+        [("a.gif", &b"GIF89a"[..]), ("a.tga", b"no"), ("a.png", b"nothing"), ("a.bmp", &huge)]
+    {
         let ingest = read_obj(&format!("newmtl a\nmap_Kd {name}\n"), &[stored(name, bytes)]);
         assert!(ingest.mesh.images.is_empty() && ingest.mesh.textures.is_empty(), "{name}");
         assert!(codes(&ingest).contains(&"image_unreadable"), "{name}: {:?}", codes(&ingest));
