@@ -56,7 +56,8 @@ fn row(error: &Error) -> (Code, &'static str) {
 /// The status for an error. Faults of the server are logged here, once.
 pub fn status_of(error: &Error) -> Status {
     let (code, reason) = row(error);
-    if [Code::Internal, Code::Unavailable].contains(&code) {
+    let is_clients = matches!(error, Error::UnderWay | Error::Busy);
+    if [Code::Internal, Code::Unavailable].contains(&code) && !is_clients {
         tracing::error!(%error, reason, "a request failed");
     }
     let mut details = ErrorDetails::with_error_info(reason, DOMAIN, metadata_of(error));
