@@ -298,7 +298,7 @@ mod tests {
         let mut splitter = Splitter { looks_left: 1 };
         for n_notes in [0, 1, 1] {
             let mut notes = Notes::default();
-            assert_eq!(splitter.triangulate(&placed(&L, 2), &mut notes).len(), 4);
+            assert_eq!(splitter.triangulate(&placed(&L, 0), &mut notes).len(), 4);
             assert_eq!(notes.into_vec().len(), n_notes);
         }
     }

@@ -138,8 +138,8 @@ fn concave_polygons() {
     }
 }
 
-/// An L as one polygon, a triangle that has other coordinates at one of its corners, and one that has none; those of
-/// the vertices give way.
+/// An L as one polygon, a triangle that has other coordinates at one of its corners, and one that has none and takes
+/// those of the vertices, which give way elsewhere.
 #[test]
 fn ply_coordinates_of_corners() {
     let head = "ply\nformat ascii 1.0\ncomment TextureFile a.png\nelement vertex 7\n\
@@ -162,8 +162,10 @@ fn ply_coordinates_of_corners() {
         }
     }
     assert_eq!(layer.get(WedgeId(mesh.face_wedges[4][0])), &[8.0, -7.0]);
-    // Six of the L; two of the next triangle, which has those of the L at vertex 1; three zeros.
-    assert_eq!(mesh.n_wedges(), 6 + 2 + 3);
+    // Six of the L; two of the next triangle, which has those of the L at vertex 1; two of the last one, whose third
+    // has the same as the next one's.
+    assert_eq!(mesh.n_wedges(), 6 + 2 + 2);
+    assert_eq!(layer.get(WedgeId(mesh.face_wedges[5][0])), &[9.0, -8.0]);
     assert_eq!(mesh.faces.len(), 6);
     assert_eq!(marks.locked.iter().filter(|locked| **locked).count(), 1);
     let codes: Vec<_> = report.notes.iter().map(|n| n.code).collect();
