@@ -81,18 +81,8 @@ fn read_document(source: &Source<'_>, json: &[u8], bin: Option<&[u8]>) -> Result
     Ok(soup)
 }
 
-/// Required extensions that change nothing here, or that are read.
-const HARMLESS: [&str; 9] = [
-    "EXT_meshopt_compression",
-    "KHR_meshopt_compression",
-    "KHR_draco_mesh_compression",
-    "KHR_mesh_quantization",
-    "KHR_texture_basisu",
-    "KHR_texture_transform",
-    "KHR_lights_punctual",
-    "KHR_xmp_json_ld",
-    "EXT_texture_webp",
-];
+/// Extensions that may be required, besides those that are read: they change nothing here.
+const HARMLESS: [&str; 2] = ["KHR_lights_punctual", "KHR_xmp_json_ld"];
 
 /// Extensions that are read. Those of materials are carried, whatever they are.
 const READ: [&str; 7] = [
@@ -113,7 +103,9 @@ const REFUSED: [(&str, &str); 1] =
     [("EXT_mesh_gpu_instancing", "save the model with one node per instance")];
 
 fn check_extensions(source: &Source<'_>, root: &json::Root) -> Result<(), IoError> {
-    let is_harmless = |name: &str| HARMLESS.contains(&name) || name.starts_with("KHR_materials_");
+    let is_harmless = |name: &str| {
+        READ.contains(&name) || HARMLESS.contains(&name) || name.starts_with("KHR_materials_")
+    };
     let Some(name) = root.extensions_required.iter().find(|n| !is_harmless(n)) else {
         return Ok(());
     };
